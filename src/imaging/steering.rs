@@ -1,0 +1,1 @@
+//! Directions of interest and the delay of every direction at every microphone. Pure.

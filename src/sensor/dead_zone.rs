@@ -1,0 +1,1 @@
+//! Bearings that other sensors' housings and configured obstructions hide from a sensor.

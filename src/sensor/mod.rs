@@ -1,0 +1,31 @@
+//! Facts about the hardware, computed once: array, emission, mount, what the robot's own parts hide, and how the raw
+//! data is delivered.
+
+pub mod array;
+pub mod dead_zone;
+pub mod emission;
+pub mod mount;
+pub mod recording;
+
+pub use array::MicrophoneArray;
+pub use emission::{Emission, EmissionParams, EmissionShape};
+pub use mount::Mount;
+pub use recording::RecordingFormat;
+
+use nalgebra::Vector3;
+use std::sync::Arc;
+
+/// One sensor as it stands on the robot.
+#[derive(Debug, Clone)]
+pub struct SensorSetup {
+    /// Name, part of the topic names.
+    pub name: String,
+    /// Where it stands and looks.
+    pub mount: Mount,
+    /// Its microphones.
+    pub array: MicrophoneArray,
+    /// What it sends out.
+    pub emission: Arc<Emission>,
+    /// Place of the emitter in the sensor frame.
+    pub emitter_m: Vector3<f64>,
+}

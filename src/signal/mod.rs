@@ -1,0 +1,23 @@
+//! The nouns: what travels from the microphones to the motors. Constructors hold the invariants; nothing here
+//! processes anything.
+//!
+//! | noun | made by | read by | topic |
+//! |---|---|---|---|
+//! | [`PingSet`] of [`RawPing`]s | a source | `imaging` | `noctule/sonar/<name>/pdm`, `/pcm`, `/pcm_f32` |
+//! | [`Energyscape`] on a [`PolarGrid`] | `imaging` | `flow`, `detect`, anybody | `noctule/sonar/<name>/energyscape` |
+//! | [`Mask`], [`MaskTable`] | `flow`, once | `imaging` | none (`noctule masks` writes them) |
+//! | [`RowSums`] | `imaging` | `flow` | none |
+//! | [`Cues`] | `flow` | `control`, anybody | `noctule/cues` |
+//! | [`Decision`] | `control` | `safety`, the controller process | `noctule/command` |
+
+mod cues;
+mod energyscape;
+mod mask;
+mod ping;
+mod velocity;
+
+pub use cues::{CoverageCue, Cues, LayerCue, NearestReflection, SensorSums, WALL_PEAKS_MAX, WallPeak, WallPeaks};
+pub use energyscape::{Direction, Energyscape, PolarGrid};
+pub use mask::{Mask, MaskPurpose, MaskRow, MaskTable, NO_CELL, RowSums};
+pub use ping::{PingSet, RawPing, SENSORS_MAX, SampleFormat, Samples};
+pub use velocity::{Cause, Decision, LayerName, Velocity};
