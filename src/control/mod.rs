@@ -1,1 +1,201 @@
-//! To be filled.
+//! Cues to decisions: the layered controller (paper 000, section 4; specification, section 5).
+//!
+//! Goes in: [`Cues`] of one ping set, the wanted velocity, "now" and, where there is one, the odometry. Comes out: a
+//! [`Decision`] with its layer and cause. The order of the layers is [`layers`], and nowhere else. No I/O, no randomness, no
+//! clock of its own: the same inputs give the same decisions.
+
+mod collision_avoidance;
+mod corridor_following;
+pub mod default_regions;
+mod flow_following;
+mod layer;
+mod limits;
+mod obstacle_avoidance;
+pub mod params;
+pub mod platform;
+mod progress;
+
+pub use collision_avoidance::CollisionAvoidance;
+pub use corridor_following::CorridorFollowing;
+pub use flow_following::FlowFollowing;
+pub use layer::{BehaviourLayer, Hysteresis, LayerOutput, Situation};
+pub use obstacle_avoidance::ObstacleAvoidance;
+pub use params::ControlParams;
+pub use platform::PlatformLimits;
+
+use crate::geometry::Pose2;
+use crate::signal::{Cause, Cues, Decision, LayerName, Velocity};
+use crate::time::Stamp;
+use progress::{Progress, WayOut};
+use std::time::Duration;
+
+/// Age beyond which cues are not acted on, unless [`Controller::with_max_age`] says otherwise: three periods.
+pub const MAX_AGE: Duration = Duration::from_millis(300);
+/// How far in the future a stamp may lie.
+const FUTURE_MAX: Duration = Duration::from_millis(50);
+
+/// The layers that are on, highest priority first.
+fn layers(params: &ControlParams, platform: &PlatformLimits) -> Vec<Box<dyn BehaviourLayer>> {
+    let mut layers: Vec<Box<dyn BehaviourLayer>> = Vec::with_capacity(LayerName::LAYERS.len());
+    if params.collision_avoidance.enabled {
+        layers.push(Box::new(CollisionAvoidance::new(&params.collision_avoidance, 1.0 / params.rate_hz)));
+    }
+    if params.obstacle_avoidance.enabled {
+        layers.push(Box::new(ObstacleAvoidance::new(&params.obstacle_avoidance)));
+    }
+    if params.flow_following.enabled {
+        layers.push(Box::new(FlowFollowing::new(&params.flow_following, platform.radius_m)));
+    }
+    if params.corridor_following.enabled {
+        layers.push(Box::new(CorridorFollowing::new(&params.corridor_following)));
+    }
+    layers
+}
+
+/// The layered controller and its memory.
+#[derive(Debug)]
+pub struct Controller {
+    params: ControlParams,
+    platform: PlatformLimits,
+    max_age: Duration,
+    layers: Vec<Box<dyn BehaviourLayer>>,
+    progress: Progress,
+    last: Velocity,
+    last_now: Option<Stamp>,
+}
+
+impl Controller {
+    /// A controller at rest. Both arguments have been validated.
+    #[must_use]
+    pub fn new(params: &ControlParams, platform: &PlatformLimits) -> Self {
+        Self {
+            params: params.clone(),
+            platform: *platform,
+            max_age: MAX_AGE,
+            layers: layers(params, platform),
+            progress: Progress::new(&params.stuck),
+            last: Velocity::ZERO,
+            last_now: None,
+        }
+    }
+
+    /// The same controller with another greatest age of cues.
+    #[must_use]
+    pub fn with_max_age(mut self, max_age: Duration) -> Self {
+        self.max_age = max_age;
+        self
+    }
+
+    /// Decides on one ping set, without odometry. `now` is the present moment; in a replay the ping's own time.
+    pub fn step(&mut self, now: Stamp, cues: &Cues, wanted: Velocity) -> Decision {
+        self.step_with_odometry(now, cues, wanted, None)
+    }
+
+    /// Decides on one ping set. The pose serves to judge progress only.
+    ///
+    /// Stands still, with layer [`LayerName::Stopped`], when the cues are older than the greatest age or more than 50 ms in
+    /// the future, when no sensor went into them, and when the wanted velocity is not finite.
+    pub fn step_with_odometry(
+        &mut self,
+        now: Stamp,
+        cues: &Cues,
+        wanted: Velocity,
+        odometry: Option<Pose2>,
+    ) -> Decision {
+        let elapsed_s = self.elapsed_s(now);
+        if !self.is_fresh(now, cues) || !wanted.is_finite() || !cues.sensors_used.contains(&true) {
+            return self.stop(cues);
+        }
+        let wanted = limits::within_platform(wanted, &self.platform);
+        self.progress.observe(odometry, self.last, wanted, elapsed_s);
+        let situation = Situation { cues, wanted, last: self.last, elapsed_s };
+        let (layer, output) = self.ask_layers(&situation);
+        let ahead_m_s = self.speed_for_way_m_s(cues.coverage.ahead_m);
+        let behind_m_s = self.speed_for_way_m_s(cues.coverage.behind_m);
+        let mut asked = limits::within_platform(output.velocity, &self.platform);
+        asked.linear_m_s = asked.linear_m_s.clamp(-behind_m_s, ahead_m_s);
+        let growth_s = elapsed_s.min(2.0 / self.params.rate_hz);
+        self.last = limits::rate_limited(self.last, asked, growth_s, &self.platform);
+        Decision {
+            emitted_at: cues.emitted_at,
+            velocity: self.last,
+            layer,
+            cause: output.cause,
+            speed_limit_m_s: ahead_m_s,
+            stuck: self.progress.is_stuck(),
+        }
+    }
+
+    /// Forgets everything but the parameters.
+    pub fn reset(&mut self) {
+        self.layers.iter_mut().for_each(|layer| layer.reset());
+        self.progress = Progress::new(&self.params.stuck);
+        (self.last, self.last_now) = (Velocity::ZERO, None);
+    }
+
+    /// Lets all layers observe and the highest triggered one act. A stuck robot tries its way out instead: the wanted velocity
+    /// under CA alone, or a turn on the spot, which counts as collision avoidance.
+    fn ask_layers(&mut self, situation: &Situation) -> (LayerName, LayerOutput) {
+        let way_out = self.progress.is_stuck().then(|| {
+            let loud_left = situation.cues.collision.turn + situation.cues.obstacle.turn;
+            // Equally loud on both sides: the way that is wanted, else left.
+            let aside = if loud_left == 0.0 { situation.wanted.angular_rad_s } else { -f64::from(loud_left) };
+            self.progress.way_out(situation.wanted, if aside < 0.0 { -1.0 } else { 1.0 })
+        });
+        let mut acting: Option<(LayerName, LayerOutput)> = None;
+        for layer in &mut self.layers {
+            let may_act = match way_out {
+                None => true,
+                Some(WayOut::LetGo) => layer.name() == LayerName::CollisionAvoidance,
+                Some(WayOut::Turn(_)) => false,
+            };
+            if layer.observe(situation) && may_act && acting.is_none() {
+                acting = Some((layer.name(), layer.act(situation)));
+            } else {
+                layer.stand_by();
+            }
+        }
+        if let Some(WayOut::Turn(turn)) = way_out {
+            return (LayerName::CollisionAvoidance, self.turn_on_the_spot(situation.cues, turn));
+        }
+        let passed_through = LayerOutput { velocity: situation.wanted, cause: Cause::default() };
+        acting.unwrap_or((LayerName::PassThrough, passed_through))
+    }
+
+    fn turn_on_the_spot(&self, cues: &Cues, turn: f64) -> LayerOutput {
+        let params = &self.params.collision_avoidance;
+        LayerOutput {
+            velocity: Velocity { linear_m_s: 0.0, angular_rad_s: turn * params.omega_rad_s },
+            cause: layer::region_cause(&cues.collision, cues.collision.energy, params.threshold),
+        }
+    }
+
+    fn stop(&mut self, cues: &Cues) -> Decision {
+        self.layers.iter_mut().for_each(|layer| layer.stand_by());
+        self.last = Velocity::ZERO;
+        Decision {
+            emitted_at: cues.emitted_at,
+            velocity: Velocity::ZERO,
+            layer: LayerName::Stopped,
+            cause: Cause::default(),
+            speed_limit_m_s: 0.0,
+            stuck: self.progress.is_stuck(),
+        }
+    }
+
+    fn is_fresh(&self, now: Stamp, cues: &Cues) -> bool {
+        let age_ns = i128::from(now.since_ns(cues.emitted_at));
+        age_ns <= self.max_age.as_nanos().cast_signed() && age_ns >= -FUTURE_MAX.as_nanos().cast_signed()
+    }
+
+    /// Time since the last step, at most the greatest age; one period for the first.
+    fn elapsed_s(&mut self, now: Stamp) -> f64 {
+        let period_s = 1.0 / self.params.rate_hz;
+        let before = self.last_now.replace(now);
+        before.map_or(period_s, |before| (now.since_ns(before) as f64 * 1e-9).clamp(0.0, self.max_age.as_secs_f64()))
+    }
+
+    fn speed_for_way_m_s(&self, seen_m: f64) -> f64 {
+        limits::speed_for_way_m_s(seen_m, self.params.coverage.reaction_s, &self.platform)
+    }
+}

@@ -3,6 +3,7 @@
 //!
 //! Knows nothing of sound, sensors or robots' hardware.
 
+pub mod flow_lines;
 pub mod shape;
 
 use nalgebra::{Rotation2, Vector2};

@@ -148,6 +148,9 @@ pub enum BackendError {
         /// The limit.
         limit_ms: u64,
     },
+    /// The CPU backend cannot work, or one of its threads failed.
+    #[error("CPU backend: {0}")]
+    Cpu(String),
     /// A result that cannot be one: wrong nonce, poison left, not finite.
     #[error("GPU returned no valid result: {0}")]
     Invalid(String),

@@ -5,14 +5,47 @@
 //!
 //! 1. a complex band-pass FIR keeps the positive frequencies of the band and decimates by D (band-pass sampling);
 //! 2. a transform of length N1 = N / D: index k mod N1 is the spectrum at f_k = k fs / N, for the K bins of the band;
-//! 3. times `reference[k]` = 2 P(f_k) conj(S(f_k)) exp(j 2 pi f_k t_0) / (G(f_k) sum s^2 N), with P the passband, S the emission's
-//!    spectrum, G the FIR's own response (so that it cancels exactly) and t_0 = 2 range_first / c;
+//! 3. times `reference[k]` = 2 P(f_k) conj(S(f_k)) exp(j 2 pi f_k t_0) / (G(f_k) sum s^2 N1), with P the passband, S the emission's
+//!    spectrum, G the FIR's own response (so that it cancels exactly) and t_0 = 2 range_first / c; with PHAT the spectrum is first
+//!    brought to unit magnitude, and S and G give their phases only;
 //! 4. per direction the sum over channels of spectrum times exp(-j 2 pi f_k p.u / c);
 //! 5. folded into M bins (index k mod M: sampling every T / M aliases nothing else, since only those instants are asked
 //!    for) and transformed back: the analytic signal at t_0 + i T / M, whose magnitude is the envelope, with T = N / fs.
 
-use crate::signal::{PolarGrid, SampleFormat};
+use super::params::{ImagingParams, Weighting};
+use super::steering;
+use crate::parameter::{ParameterError, check_positive, check_range};
+use crate::sensor::{Emission, RecordingFormat, SensorSetup};
+use crate::signal::{Direction, PolarGrid, SENSORS_MAX, SampleFormat};
+use std::f64::consts::PI;
 use std::sync::Arc;
+
+mod filters;
+mod floor;
+mod sizes;
+
+pub use floor::StageFloor;
+
+/// Stopband of both FIRs, decibels: what they leak stays below 1e-5 of full scale, a tenth of the accuracy asked for.
+const ATTENUATION_DB: f64 = 110.0;
+/// Width of each raised-cosine edge of the passband, a share of the sweep's bandwidth (specification, section 3).
+const EDGE_SHARE: f64 = 0.1;
+/// Time between the outputs asked for and whatever wraps around, in units of 1 / bandwidth: the passband's ringing has then
+/// fallen below 1e-5, since it falls as 7 / (time * bandwidth)^3.
+const RINGING_CYCLES: f64 = 100.0;
+/// Time after the end of the emission in which clipping is normal: the direct path (specification, section 3).
+const CLIP_GRACE_S: f64 = 2e-3;
+/// Default for the largest range step.
+const RANGE_STEP_DEFAULT_M: f64 = 5e-3;
+/// Most demodulated samples of a ping, most range bins, most cells: what memory and a GPU's buffers can carry.
+const SAMPLES_MAX: usize = 1 << 20;
+const RANGES_MAX: usize = 1 << 16;
+const CELLS_MAX: usize = 1 << 24;
+/// Most channels of a sensor; a PDM word has 32 bits.
+const CHANNELS_MAX: usize = 256;
+
+/// With PHAT, bins whose squared magnitude before weighting is not above this are zero: silence has no phase.
+pub const PHAT_POWER_MIN: f32 = 1e-24;
 
 /// Sizes and tables for all sensors. Sensors share everything but array, steering and dead zones.
 #[derive(Debug, Clone)]
@@ -32,7 +65,7 @@ pub struct ImagingPlan {
     pub sample_rate_hz: f64,
     /// D.
     pub band_decimation: usize,
-    /// Complex band-pass FIR, odd length; output j = sum over i of taps[i] * x[(j D + i - half) mod N], x zero beyond `sample_count`.
+    /// Complex band-pass FIR, odd length; output j = sum over i of `taps[i] * x[(j D + i - half) mod N]`, x zero beyond `sample_count`.
     pub band_taps: Vec<[f32; 2]>,
     /// N1: outputs of the FIR and length of the forward transform. N = N1 * D.
     pub forward_len: usize,
@@ -71,4 +104,316 @@ pub struct SensorPlan {
     pub steering_of: usize,
     /// Time after which clipping counts: end of the emission + 2 ms.
     pub clip_after_s: f64,
+}
+
+/// The numbers that the parts of the plan are made from.
+struct Band {
+    low_hz: f64,
+    high_hz: f64,
+    edge_hz: f64,
+}
+
+impl Band {
+    /// P(f): 1 inside, raised-cosine edges outside, 0 beyond.
+    fn gain(&self, frequency_hz: f64) -> f64 {
+        let outside_hz = (self.low_hz - frequency_hz).max(frequency_hz - self.high_hz).max(0.0);
+        if outside_hz < self.edge_hz { 0.5 * (1.0 + (PI * outside_hz / self.edge_hz).cos()) } else { 0.0 }
+    }
+
+    fn width_hz(&self) -> f64 {
+        self.high_hz - self.low_hz + 2.0 * self.edge_hz
+    }
+
+    fn centre_hz(&self) -> f64 {
+        0.5 * (self.low_hz + self.high_hz)
+    }
+}
+
+impl ImagingPlan {
+    /// Makes every size and table.
+    ///
+    /// `hidden` has one list a sensor with one entry a direction. All sensors must send the same emission, at the demodulated
+    /// sample rate. Keys of errors are dotted paths from the root of the configuration.
+    ///
+    /// # Errors
+    /// If a value lies outside its limits, or values do not go together: a band beyond half the sample rate, a range beyond the
+    /// end of the recording.
+    pub fn new(
+        sensors: &[SensorSetup],
+        hidden: &[Vec<bool>],
+        recording: &RecordingFormat,
+        params: &ImagingParams,
+        directions: Vec<Direction>,
+        speed_of_sound_m_s: f64,
+    ) -> Result<ImagingPlan, ParameterError> {
+        check_sensors(sensors, hidden, recording, directions.len())?;
+        check_range("speed_of_sound_m_s", speed_of_sound_m_s, 50.0, 10_000.0)?;
+        let emission = &sensors[0].emission;
+        let rate_hz = recording.demodulated_rate_hz();
+        let band = checked_band(emission, rate_hz)?;
+        let step_m = checked_step(params, recording, &band, speed_of_sound_m_s)?;
+        let smoothing_half = params.smoothing_hz.map_or(0.0, |cutoff_hz| rate_hz / cutoff_hz);
+
+        let delays: Vec<Arc<Vec<f64>>> = sensors
+            .iter()
+            .map(|sensor| Arc::new(steering::delays_s(&sensor.array, &directions, speed_of_sound_m_s)))
+            .collect();
+        let steer_s = delays.iter().flat_map(|table| table.iter()).fold(0.0, |most: f64, delay| most.max(delay.abs()));
+        let last_s = 2.0 * params.range_max_m / speed_of_sound_m_s + steer_s;
+        let ringing_s = RINGING_CYCLES / (band.high_hz - band.low_hz);
+        let used = ((last_s + ringing_s) * rate_hz + smoothing_half).ceil() as usize + emission.samples.len();
+        let wanted = sizes::Wanted {
+            sample_rate_hz: rate_hz,
+            width_hz: band.width_hz(),
+            span_min: recording.demodulated_samples().max(used),
+            inverse_per_span: speed_of_sound_m_s / (2.0 * rate_hz * step_m),
+            channels: sensors.iter().map(|sensor| sensor.array.channel_count()).sum(),
+            directions: directions.len() * sensors.len(),
+            attenuation_db: ATTENUATION_DB,
+        };
+        let sizes = sizes::choose(&wanted).ok_or_else(|| {
+            ParameterError::new("imaging.range_step_m", step_m, "a step for which a transform length exists")
+        })?;
+
+        let span = sizes.forward_len * sizes.decimation;
+        let bin_step_hz = rate_hz / span as f64;
+        let first_bin = (((band.low_hz - band.edge_hz) / bin_step_hz).floor() + 1.0).max(1.0) as usize;
+        let last_bin = ((band.high_hz + band.edge_hz) / bin_step_hz).ceil() as usize - 1;
+        let grid = make_grid(params, directions, speed_of_sound_m_s / (2.0 * bin_step_hz * sizes.inverse_len as f64))?;
+        let mut plan = ImagingPlan {
+            format: recording.format,
+            raw_count: recording.samples,
+            decimation: recording.decimation,
+            demodulation_taps: demodulation_taps(recording, &band),
+            sample_count: recording.demodulated_samples(),
+            sample_rate_hz: rate_hz,
+            band_decimation: sizes.decimation,
+            band_taps: band_taps(&band, rate_hz, sizes.decimation),
+            forward_len: sizes.forward_len,
+            first_bin,
+            bin_count: last_bin + 1 - first_bin,
+            bin_step_hz,
+            reference: Vec::new(),
+            inverse_len: sizes.inverse_len,
+            phat: params.weighting == Weighting::Phat,
+            smoothing_taps: Vec::new(),
+            grid: Arc::new(grid),
+            sensors: sensor_plans(sensors, hidden, &delays, emission.samples.len() as f64 / rate_hz + CLIP_GRACE_S),
+        };
+        plan.reference = reference(&plan, &band, emission, 2.0 * params.range_min_m / speed_of_sound_m_s);
+        plan.smoothing_taps = smoothing_taps(&plan, params)?;
+        Ok(plan)
+    }
+
+    /// Raw values of one ping of a sensor: words (PDM) or channels times samples (PCM).
+    #[must_use]
+    pub fn raw_len(&self, sensor_index: usize) -> usize {
+        match self.format {
+            SampleFormat::Pdm => self.raw_count,
+            SampleFormat::PcmI16 | SampleFormat::PcmF32 => self.raw_count * self.sensors[sensor_index].channel_count,
+        }
+    }
+}
+
+/// Says so when the configured range step is too coarse to read an echo's peak: specification, section 3.
+#[must_use]
+pub fn step_warning(params: &ImagingParams, emission: &Emission, speed_of_sound_m_s: f64) -> Option<String> {
+    let limit_m = speed_of_sound_m_s / (2.4 * (emission.band_hz.1 - emission.band_hz.0));
+    params.range_step_m.filter(|step_m| *step_m > limit_m * (1.0 + 1e-9)).map(|step_m| {
+        format!("imaging.range_step_m = {step_m}: above {limit_m:.4} m an echo's peak can fall between two bins and read several dB low")
+    })
+}
+
+fn check_sensors(
+    sensors: &[SensorSetup],
+    hidden: &[Vec<bool>],
+    recording: &RecordingFormat,
+    direction_count: usize,
+) -> Result<(), ParameterError> {
+    if !(1..=SENSORS_MAX).contains(&sensors.len()) || hidden.len() != sensors.len() {
+        return Err(ParameterError::new("sensor", sensors.len(), format!("1 to {SENSORS_MAX} sensors")));
+    }
+    if !(1..=steering::DIRECTIONS_MAX).contains(&direction_count) {
+        let allowed = format!("1 to {} directions", steering::DIRECTIONS_MAX);
+        return Err(ParameterError::new("imaging.directions", direction_count, allowed));
+    }
+    let channels_max = if recording.format == SampleFormat::Pdm { 32 } else { CHANNELS_MAX };
+    for (index, (sensor, hidden)) in sensors.iter().zip(hidden).enumerate() {
+        let array = &sensor.array;
+        let channels = array.channel_count();
+        if !(1..=channels_max).contains(&channels) {
+            let allowed = format!("1 to {channels_max} microphones");
+            return Err(ParameterError::new(format!("sensor[{index}].array"), channels, allowed));
+        }
+        if array.weights.len() != channels || array.enabled.len() != channels || hidden.len() != direction_count {
+            let allowed = "as many weights and switches as microphones, as many hidden flags as directions";
+            return Err(ParameterError::new(format!("sensor[{index}].array"), channels, allowed));
+        }
+        let usable = |weight: &f32| *weight >= 0.0 && weight.is_finite();
+        if !array.weights.iter().all(usable) || !array.positions_m.iter().all(|p| p.iter().all(|x| x.abs() < 100.0)) {
+            let allowed = "weights not below zero and positions within 100 m";
+            return Err(ParameterError::new(format!("sensor[{index}].array"), "a value out of bounds", allowed));
+        }
+        if !Arc::ptr_eq(&sensor.emission, &sensors[0].emission) && sensor.emission != sensors[0].emission {
+            return Err(ParameterError::new("emission", "several", "one emission for all sensors"));
+        }
+    }
+    Ok(())
+}
+
+fn checked_band(emission: &Emission, rate_hz: f64) -> Result<Band, ParameterError> {
+    let (low_hz, high_hz) = emission.band_hz;
+    let edge_hz = EDGE_SHARE * (high_hz - low_hz);
+    if !((emission.sample_rate_hz / rate_hz - 1.0).abs() < 1e-9) {
+        let allowed = format!("{rate_hz} Hz, the demodulated sample rate");
+        return Err(ParameterError::new("emission.file", format!("{} Hz", emission.sample_rate_hz), allowed));
+    }
+    if !(low_hz > 0.0 && edge_hz > 0.0 && high_hz + edge_hz < 0.5 * rate_hz) {
+        let allowed = format!(
+            "a band above 0 Hz that ends, with its edge of a tenth, below half the sample rate of {rate_hz} Hz"
+        );
+        return Err(ParameterError::new("emission.start_hz", format!("a band of {low_hz} to {high_hz} Hz"), allowed));
+    }
+    if !(emission.samples.iter().map(|s| s * s).sum::<f64>() > 0.0) {
+        return Err(ParameterError::new("emission", "silence", "finite samples, not all zero"));
+    }
+    Ok(Band { low_hz, high_hz, edge_hz })
+}
+
+/// Largest range step allowed.
+fn checked_step(
+    params: &ImagingParams,
+    recording: &RecordingFormat,
+    band: &Band,
+    speed_of_sound_m_s: f64,
+) -> Result<f64, ParameterError> {
+    let samples = recording.demodulated_samples();
+    if !(1..=SAMPLES_MAX).contains(&samples) {
+        let allowed = format!("1 to {SAMPLES_MAX} samples after demodulation");
+        return Err(ParameterError::new("recording.samples", recording.samples, allowed));
+    }
+    check_range("imaging.range_min_m", params.range_min_m, 0.01, 1000.0)?;
+    let heard_m = 0.5 * speed_of_sound_m_s * samples as f64 / recording.demodulated_rate_hz();
+    if !(params.range_max_m > params.range_min_m && params.range_max_m <= heard_m) {
+        let allowed = format!(
+            "above imaging.range_min_m = {} and at most {heard_m:.3}, where the recording ends",
+            params.range_min_m
+        );
+        return Err(ParameterError::new("imaging.range_max_m", params.range_max_m, allowed));
+    }
+    let finest_m = speed_of_sound_m_s / (2.4 * (band.high_hz - band.low_hz));
+    let step_m = params.range_step_m.unwrap_or(RANGE_STEP_DEFAULT_M.min(finest_m));
+    check_range("imaging.range_step_m", step_m, 1e-4, 0.5)?;
+    if let Some(cutoff_hz) = params.smoothing_hz {
+        check_positive("imaging.smoothing_hz", cutoff_hz, speed_of_sound_m_s / (4.0 * step_m))?;
+        check_range("imaging.smoothing_hz", cutoff_hz, 10.0, f64::MAX)?;
+    }
+    Ok(step_m)
+}
+
+fn make_grid(params: &ImagingParams, directions: Vec<Direction>, step_m: f64) -> Result<PolarGrid, ParameterError> {
+    let ranges = ((params.range_max_m - params.range_min_m) / step_m * (1.0 + 1e-12)).floor() as usize + 1;
+    if ranges > RANGES_MAX || ranges * directions.len() > CELLS_MAX {
+        let found = format!("{step_m} m, that is {ranges} ranges by {} directions", directions.len());
+        let allowed = format!("at most {RANGES_MAX} ranges and {CELLS_MAX} cells");
+        return Err(ParameterError::new("imaging.range_step_m", found, allowed));
+    }
+    Ok(PolarGrid::new(directions, params.range_min_m, step_m, ranges))
+}
+
+/// Low-pass for PDM: only what the decimation would fold into the band has to be stopped.
+fn demodulation_taps(recording: &RecordingFormat, band: &Band) -> Vec<f32> {
+    if recording.format != SampleFormat::Pdm {
+        return Vec::new();
+    }
+    let top_hz = band.high_hz + band.edge_hz;
+    let pass = top_hz / recording.sample_rate_hz;
+    let stop = (recording.demodulated_rate_hz() - top_hz) / recording.sample_rate_hz;
+    filters::low_pass(pass, stop, ATTENUATION_DB).into_iter().map(|tap| tap as f32).collect()
+}
+
+/// Complex band-pass: only what the decimation would fold into the band has to be stopped.
+fn band_taps(band: &Band, rate_hz: f64, decimation: usize) -> Vec<[f32; 2]> {
+    if decimation == 1 {
+        return vec![[1.0, 0.0]];
+    }
+    let pass = 0.5 * band.width_hz() / rate_hz;
+    let stop = 1.0 / decimation as f64 - pass;
+    let taps = filters::low_pass(pass, stop, ATTENUATION_DB);
+    let half = (taps.len() / 2) as f64;
+    let turn = |index: usize| -2.0 * PI * band.centre_hz() / rate_hz * (index as f64 - half);
+    let modulated = taps.iter().enumerate().map(|(index, tap)| (turn(index).sin_cos(), tap));
+    modulated.map(|((sin, cos), tap)| [(tap * cos) as f32, (tap * sin) as f32]).collect()
+}
+
+/// Response of the band-pass at bin k of N, from the rounded taps themselves.
+fn band_response(taps: &[[f32; 2]], turns_per_sample: f64) -> (f64, f64) {
+    let half = (taps.len() / 2) as f64;
+    taps.iter().enumerate().fold((0.0, 0.0), |(re, im), (index, tap)| {
+        let (sin, cos) = (2.0 * PI * turns_per_sample * (index as f64 - half)).sin_cos();
+        let (tap_re, tap_im) = (f64::from(tap[0]), f64::from(tap[1]));
+        (re + tap_re * cos - tap_im * sin, im + tap_re * sin + tap_im * cos)
+    })
+}
+
+/// `reference` of the plan: see the module's header.
+fn reference(plan: &ImagingPlan, band: &Band, emission: &Emission, first_s: f64) -> Vec<[f32; 2]> {
+    let span = plan.forward_len * plan.band_decimation;
+    let energy: f64 = emission.samples.iter().map(|s| s * s).sum();
+    let bins = plan.first_bin..plan.first_bin + plan.bin_count;
+    let passed: f64 = bins.clone().map(|bin| band.gain(bin as f64 * plan.bin_step_hz)).sum();
+    let complex = |bin: usize| {
+        let frequency_hz = bin as f64 * plan.bin_step_hz;
+        let turns = bin as f64 / span as f64;
+        let (mut s_re, mut s_im) = (0.0, 0.0);
+        for (n, sample) in emission.samples.iter().enumerate() {
+            // Whole turns are taken out in integers: the phase of late samples stays exact.
+            let (sin, cos) = (2.0 * PI * ((n * bin) % span) as f64 / span as f64).sin_cos();
+            s_re += sample * cos;
+            s_im -= sample * sin;
+        }
+        let (g_re, g_im) = band_response(&plan.band_taps, turns);
+        // conj(S) / G = conj(S) conj(G) / |G|^2, and the phase of the first range.
+        let (q_re, q_im) = (s_re * g_re - s_im * g_im, -(s_re * g_im + s_im * g_re));
+        let (sin, cos) = (2.0 * PI * (frequency_hz * first_s).fract()).sin_cos();
+        let magnitude = if plan.phat {
+            band.gain(frequency_hz) / (passed * (q_re * q_re + q_im * q_im).sqrt())
+        } else {
+            2.0 * band.gain(frequency_hz) / ((g_re * g_re + g_im * g_im) * energy * plan.forward_len as f64)
+        };
+        let magnitude = if magnitude.is_finite() { magnitude } else { 0.0 };
+        [(magnitude * (q_re * cos - q_im * sin)) as f32, (magnitude * (q_re * sin + q_im * cos)) as f32]
+    };
+    bins.map(complex).collect()
+}
+
+fn smoothing_taps(plan: &ImagingPlan, params: &ImagingParams) -> Result<Vec<f32>, ParameterError> {
+    let Some(cutoff_hz) = params.smoothing_hz else { return Ok(Vec::new()) };
+    let taps = filters::gaussian(cutoff_hz / (plan.bin_step_hz * plan.inverse_len as f64));
+    if taps.len() > plan.inverse_len / 2 {
+        let allowed = "a cut-off whose filter is shorter than half the recording";
+        return Err(ParameterError::new("imaging.smoothing_hz", cutoff_hz, allowed));
+    }
+    Ok(taps.into_iter().map(|tap| tap as f32).collect())
+}
+
+fn sensor_plans(
+    sensors: &[SensorSetup],
+    hidden: &[Vec<bool>],
+    delays: &[Arc<Vec<f64>>],
+    clip_after_s: f64,
+) -> Vec<SensorPlan> {
+    let one = |(index, sensor): (usize, &SensorSetup)| {
+        let steering_of = (0..index).find(|&first| delays[first] == delays[index]).unwrap_or(index);
+        let weights = sensor.array.weights.iter().zip(&sensor.array.enabled);
+        SensorPlan {
+            channel_count: sensor.array.channel_count(),
+            weights: weights.map(|(weight, enabled)| if *enabled { *weight } else { 0.0 }).collect(),
+            delays_s: Arc::clone(&delays[steering_of]),
+            hidden: hidden[index].clone(),
+            steering_of,
+            clip_after_s,
+        }
+    };
+    sensors.iter().enumerate().map(one).collect()
 }

@@ -1,1 +1,46 @@
-//! To be filled.
+//! The only place that touches shared memory, files and screens.
+//!
+//! | file | what |
+//! |---|---|
+//! | [`topics`] | names, layouts and depths of all topics |
+//! | [`wire`] | the types on them |
+//! | [`node`], `session`, `root` | root directory, locks, set-up, ports |
+//! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`] | who publishes and listens to what |
+//! | [`echo`] | what passes on a topic, for people and programs |
+//! | [`source`] | where ping sets come from |
+//! | [`recording_file`], [`picture`] | files in, pictures out |
+
+pub mod clients;
+pub mod daemon_topics;
+pub mod echo;
+pub mod error;
+pub mod node;
+pub mod params;
+pub mod picture;
+pub mod raw_topics;
+pub mod recording_file;
+mod root;
+mod session;
+pub mod source;
+pub mod status_topics;
+pub mod topics;
+pub mod wire;
+
+pub use clients::{ControllerTopics, InputPublisher, OperatorClient, PlatformSubscriber};
+pub use daemon_topics::DaemonTopics;
+pub use echo::{Echo, EchoLimit};
+pub use error::IpcError;
+pub use node::Ipc;
+pub use params::IpcParams;
+pub use raw_topics::{LiveTopics, RawPublisher, RawRefusal, RawShape};
+pub use status_topics::StatusTopics;
+
+use std::hash::{BuildHasher, Hasher};
+
+/// A number above zero that no other start of any process has: the standard library's hashers are keyed by the system's
+/// randomness.
+fn fresh_id() -> u64 {
+    let mut hasher = std::collections::hash_map::RandomState::new().build_hasher();
+    hasher.write_u32(std::process::id());
+    hasher.finish().max(1)
+}

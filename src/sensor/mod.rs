@@ -1,16 +1,21 @@
 //! Facts about the hardware, computed once: array, emission, mount, what the robot's own parts hide, and how the raw
 //! data is delivered.
 
+pub mod air;
 pub mod array;
 pub mod dead_zone;
 pub mod emission;
 pub mod mount;
+pub mod params;
 pub mod recording;
+mod table;
 
 pub use array::MicrophoneArray;
+pub use dead_zone::{DeadZone, hidden_directions};
 pub use emission::{Emission, EmissionParams, EmissionShape};
 pub use mount::Mount;
-pub use recording::RecordingFormat;
+pub use params::{MountParams, SensorParams};
+pub use recording::{RecordingFormat, RecordingParams};
 
 use nalgebra::Vector3;
 use std::sync::Arc;

@@ -1,6 +1,7 @@
 //! Where a sensor stands on the robot, and how it moves when the robot moves (paper 000, figure 3 and eq. 3).
 
 use crate::geometry::{Pose2, wrap_angle_rad};
+use crate::signal::Velocity;
 use nalgebra::Vector2;
 
 /// Place and heading of a sensor on the robot: distance l, bearing alpha of its position, yaw beta.
@@ -32,5 +33,20 @@ impl Mount {
     pub fn pose(&self) -> Pose2 {
         let position = self.position_m();
         Pose2 { x_m: position.x, y_m: position.y, heading_rad: self.heading_rad() }
+    }
+
+    /// Velocity of the sensor itself in its own frame, m/s, while the robot moves with `robot`.
+    ///
+    /// The paper's eq. 3 prints `+V sin(alpha + beta)` in row 2; a sensor that looks to the left (delta = 90 deg) of a robot
+    /// driving forward moves to its own right, so the sign is minus.
+    #[must_use]
+    pub fn sensor_velocity_m_s(&self, robot: Velocity) -> Vector2<f64> {
+        let (sin_heading, cos_heading) = (self.bearing_rad + self.yaw_rad).sin_cos();
+        let (sin_yaw, cos_yaw) = self.yaw_rad.sin_cos();
+        let swing_m_s = self.distance_m * robot.angular_rad_s;
+        Vector2::new(
+            robot.linear_m_s * cos_heading + swing_m_s * sin_yaw,
+            -robot.linear_m_s * sin_heading + swing_m_s * cos_yaw,
+        )
     }
 }

@@ -1,1 +1,283 @@
-//! To be filled.
+//! The daemon: a configuration and a source in; commands, energyscapes, cues and health out.
+//!
+//! Three threads. The *acquiring* thread asks the source for ping sets and hands them on, newest first
+//! ([`acquisition`], [`handoff`]). The *deciding* thread images, decides and publishes ([`decision`], around
+//! [`pipeline`]). The *watching* thread is the caller's: it waits for the end and ends the process when one of the others
+//! dies or hangs, since a daemon with a thread missing must not go on.
+
+pub mod acquisition;
+pub mod decision;
+pub mod handoff;
+pub mod health;
+pub mod latency;
+pub mod pipeline;
+pub mod regions;
+pub mod supervisor;
+pub mod wiring;
+
+use crate::config::Config;
+use crate::imaging::backend::BackendError;
+use crate::imaging::params::Prefer;
+use crate::imaging::{Imager, ImagerOptions};
+use crate::io::source::live::LiveSource;
+use crate::io::source::replay::ReplaySource;
+use crate::io::source::simulator::SimulatorSource;
+use crate::io::source::{Source, SourceError};
+use crate::io::wire::message::EnergyscapeHeader;
+use crate::io::wire::telemetry::CueThresholds;
+use crate::io::{DaemonTopics, Ipc, IpcError, LiveTopics, RawShape};
+use crate::parameter::ParameterError;
+use crate::signal::PingSet;
+use crate::sim::{RobotParams, SimError, SimParams, Simulator, World};
+use crate::time::{Clock, Stamp, SystemClock};
+use acquisition::{Delivered, Heartbeat};
+use decision::{DecisionLoop, Ended};
+use health::Reporter;
+use pipeline::Pipeline;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use wiring::SensingSetup;
+
+/// A thread that gives no beat for this long hangs.
+const HANG_LIMIT: Duration = Duration::from_secs(2);
+/// Longest start of a source or backend before the beats are counted.
+const START_LIMIT: Duration = Duration::from_secs(10);
+
+/// Where ping sets come from.
+#[derive(Debug, Clone)]
+pub enum SourceChoice {
+    /// The simulated robot in a world, with the seed of its noise and start; `endless` begins the waypoints again.
+    Simulator {
+        /// The world.
+        world: Box<World>,
+        /// Seed.
+        seed: u64,
+        /// Whether the waypoints begin again after the last.
+        endless: bool,
+    },
+    /// Recordings, one a sensor.
+    Replay(Vec<PathBuf>),
+    /// Drivers on the raw topics.
+    Live,
+}
+
+/// Why the daemon could not start or had to end.
+#[derive(Debug, thiserror::Error)]
+pub enum ServiceError {
+    /// The configuration asks for what cannot be.
+    #[error(transparent)]
+    Parameter(#[from] ParameterError),
+    /// The simulated robot cannot be put into its world.
+    #[error(transparent)]
+    Simulator(#[from] SimError),
+    /// No backend.
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+    /// No shared memory.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+    /// The source cannot start or go on.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// The IPC root was removed or replaced under the running daemon.
+    #[error("the IPC root {0} was taken away: the robot was stopped")]
+    RootLost(String),
+    /// The state machine ended the process.
+    #[error("the daemon could not go on: {reason}")]
+    Gave {
+        /// Exit code.
+        code: u8,
+        /// Why.
+        reason: String,
+    },
+    /// A thread could not be started or died.
+    #[error("internal error: {0}")]
+    Internal(String),
+}
+
+/// Runs the daemon until `stop` is set, the source ends, or `limit` has passed since the first ping set.
+///
+/// # Errors
+/// [`ServiceError`]. Before it returns for any reason but a dead thread, zero was published.
+pub fn run(
+    config: &Config,
+    source: &SourceChoice,
+    prefer: Prefer,
+    limit: Option<Duration>,
+    stop: &Arc<AtomicBool>,
+) -> Result<(), ServiceError> {
+    let setup = wiring::sensing(config)?;
+    let masks = wiring::masks(config, &setup)?;
+    setup.hidden.iter().for_each(|what| log::info!("hidden: {what}"));
+    setup.warnings.iter().for_each(|what| log::warn!("{what}"));
+    log::info!("{}", stopping_line(config));
+    let ipc = Ipc::open(&config.ipc)?;
+    let names: Vec<String> = setup.sensors.iter().map(|sensor| sensor.name.clone()).collect();
+    let cells = vec![setup.plan.grid.cell_count(); names.len()];
+    let topics = DaemonTopics::open(&ipc, &names, &cells)?;
+    let options = ImagerOptions { threads: None, gpu_deadline_ms: config.safety.gpu_deadline().as_millis() as u64 };
+    let imager = Imager::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), prefer, options)?;
+    let source = open_source(config, &setup, source, &ipc)?;
+    log::info!("source: {}", source.describe());
+    let empty = Delivered { pings: empty_ping_set(&setup), wanted: None };
+    let epoch = topics.epoch();
+    let pipeline = Pipeline::new(config, setup, masks, imager, epoch, SystemClock.now());
+    let decision = decision_loop(config, pipeline, topics, &ipc);
+    supervise(decision, source, empty, limit, stop)
+}
+
+fn stopping_line(config: &Config) -> String {
+    let platform = &config.platform;
+    let speed = platform.max_linear_m_s;
+    let silent_m = speed * 0.35;
+    let braking_m = speed * speed / (2.0 * platform.max_linear_accel_m_s2);
+    format!(
+        "worst stop at {speed} m/s: {silent_m:.3} m unseen + {braking_m:.3} m braking, radius {} m",
+        platform.radius_m
+    )
+}
+
+fn empty_ping_set(setup: &SensingSetup) -> PingSet {
+    let lens: Vec<usize> = (0..setup.sensors.len()).map(|index| setup.plan.raw_len(index)).collect();
+    PingSet::empty(lens.len(), setup.plan.format, &lens)
+}
+
+fn open_source(
+    config: &Config,
+    setup: &SensingSetup,
+    choice: &SourceChoice,
+    ipc: &Ipc,
+) -> Result<Box<dyn Source + Send>, ServiceError> {
+    let rate_hz = config.control.rate_hz;
+    match choice {
+        SourceChoice::Simulator { world, seed, endless } => {
+            let params = SimParams { repeat_waypoints: *endless, ..SimParams::default() };
+            let simulator = simulator(config, setup, (**world).clone(), params, *seed)?;
+            let recording_s = setup.recording.samples as f64 / setup.recording.sample_rate_hz;
+            Ok(Box::new(SimulatorSource::open(simulator, ipc, rate_hz, recording_s)?))
+        }
+        SourceChoice::Replay(paths) => {
+            let words = wiring::words_per_ping(config);
+            Ok(Box::new(ReplaySource::open(paths, words, &empty_ping_set(setup), rate_hz)?))
+        }
+        SourceChoice::Live => {
+            let shape = |index: usize| RawShape {
+                format: setup.plan.format,
+                sample_rate_hz: setup.recording.sample_rate_hz,
+                channel_count: setup.plan.sensors[index].channel_count,
+                sample_count: setup.recording.samples,
+            };
+            let sensors: Vec<_> =
+                setup.sensors.iter().enumerate().map(|(index, sensor)| (sensor.name.clone(), shape(index))).collect();
+            let topics = LiveTopics::open(ipc, &sensors)?;
+            Ok(Box::new(LiveSource::new(topics, sensors.len(), config.safety.group_deadline())))
+        }
+    }
+}
+
+/// A simulator of the configured robot.
+///
+/// # Errors
+/// [`SimError`].
+pub fn simulator(
+    config: &Config,
+    setup: &SensingSetup,
+    world: World,
+    params: SimParams,
+    seed: u64,
+) -> Result<Simulator, SimError> {
+    let platform = &config.platform;
+    let robot = RobotParams {
+        radius_m: platform.radius_m,
+        limits: crate::sim::MotionLimits {
+            max_linear_m_s: platform.max_linear_m_s,
+            max_angular_rad_s: platform.max_angular_rad_s,
+            max_linear_accel_m_s2: platform.max_linear_accel_m_s2,
+            max_angular_accel_rad_s2: platform.max_angular_accel_rad_s2,
+        },
+    };
+    Simulator::new(world, &setup.sensors, &setup.recording, robot, setup.speed_of_sound_m_s, params, seed)
+}
+
+fn decision_loop(config: &Config, pipeline: Pipeline, topics: DaemonTopics, ipc: &Ipc) -> DecisionLoop {
+    let setup = pipeline.setup();
+    let grid = &setup.plan.grid;
+    let header = |index| EnergyscapeHeader::for_grid(grid, index, setup.speed_of_sound_m_s);
+    let control = &config.control;
+    let period_ns = (1e9 / control.rate_hz) as u64;
+    DecisionLoop {
+        root: ipc.root().display().to_string(),
+        headers: (0..setup.sensors.len()).map(header).collect(),
+        thresholds: CueThresholds {
+            collision: control.collision_avoidance.threshold,
+            obstacle: control.obstacle_avoidance.threshold,
+            corridor: control.corridor_following.threshold,
+            wall_single: control.flow_following.threshold_single,
+            wall_corridor: control.flow_following.threshold_corridor,
+        },
+        input_max_age_ns: config.safety.input_max_age_ns(),
+        recording_ns: (setup.recording.samples as f64 / setup.recording.sample_rate_hz * 1e9) as u64,
+        period_ns,
+        reporter: Reporter::new(period_ns as f64 * 1e-6),
+        input: None,
+        pose: None,
+        dropped_count: 0,
+        last_set_at: None,
+        last_emitted_at: Stamp::default(),
+        pipeline,
+        topics,
+    }
+}
+
+/// Starts the two working threads and watches them from this one.
+fn supervise(
+    mut decision: DecisionLoop,
+    source: Box<dyn Source + Send>,
+    empty: Delivered,
+    limit: Option<Duration>,
+    stop: &Arc<AtomicBool>,
+) -> Result<(), ServiceError> {
+    let internal = |what: std::io::Error| ServiceError::Internal(format!("no thread: {what}"));
+    let (giver, taker) = handoff::handoff(empty.clone());
+    let beats = [Arc::new(Heartbeat::default()), Arc::new(Heartbeat::default())];
+    let acquirer =
+        acquisition::start(source, giver, empty.clone(), Arc::clone(stop), Arc::clone(&beats[0])).map_err(internal)?;
+    let (stopping, beat) = (Arc::clone(stop), Arc::clone(&beats[1]));
+    let decider = std::thread::Builder::new()
+        .name("noctule-decide".to_owned())
+        .spawn(move || {
+            let ended = decision.run(&taker, empty, &stopping, limit, &beat);
+            (ended, decision.reason_text(), decision.root_text())
+        })
+        .map_err(internal)?;
+    let mut watched = beats.map(|beat| (beat, 0_u64, Instant::now() + START_LIMIT));
+    while !decider.is_finished() {
+        std::thread::sleep(Duration::from_millis(5));
+        for (beat, seen, deadline) in &mut watched {
+            let count = beat.count();
+            if count != *seen {
+                *seen = count;
+                *deadline = Instant::now() + HANG_LIMIT;
+            }
+        }
+        let hangs = |index: usize| Instant::now() > watched[index].2;
+        // The acquiring thread may be done before the deciding one; the deciding one may not be missing at all.
+        if hangs(1) || (hangs(0) && !acquirer.is_finished()) {
+            return Err(ServiceError::Internal(
+                "a thread hangs: the process ends, the controller stops the robot".to_owned(),
+            ));
+        }
+    }
+    stop.store(true, Ordering::Relaxed);
+    let (ended, reason, root) =
+        decider.join().map_err(|_| ServiceError::Internal("the deciding thread died".to_owned()))?;
+    let acquired = acquirer.join().map_err(|_| ServiceError::Internal("the acquiring thread died".to_owned()))?;
+    acquired?;
+    match ended {
+        Ended::Asked => Ok(()),
+        Ended::Code(code) => Err(ServiceError::Gave { code, reason }),
+        Ended::RootLost => Err(ServiceError::RootLost(root)),
+    }
+}

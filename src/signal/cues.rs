@@ -28,7 +28,7 @@ pub struct NearestReflection {
     pub bearing_rad: f64,
     /// Distance from the robot's footprint.
     pub distance_m: f64,
-    /// Its energy E.
+    /// Largest energy E of the cells it was found among; its own is at least half of that.
     pub energy: f32,
     /// +1 left of the robot's x axis, -1 right, 0 when left and right are equally near.
     pub side: i8,
@@ -80,7 +80,7 @@ impl WallPeaks {
 pub struct CoverageCue {
     /// Length of way ahead of the footprint, over its whole width, that healthy sensors see without a gap.
     pub ahead_m: f64,
-    /// The same behind the footprint.
+    /// The same behind the footprint; zero while something is heard in the strip that a reverse would move into.
     pub behind_m: f64,
 }
 

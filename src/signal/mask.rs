@@ -21,6 +21,13 @@ pub struct Mask {
 pub enum MaskPurpose {
     /// The region of a behaviour layer.
     Region(LayerName),
+    /// All that a sensor sees between two ranges: what is loud here has side lobes in every other direction.
+    Ring {
+        /// Index of the ring, counted from range zero.
+        index: usize,
+    },
+    /// The strip behind the footprint that a reversing robot moves into.
+    Behind,
     /// The flow line of constant lateral distance `lateral_m` (left positive), paper 000, eq. 9.
     FlowLine {
         /// Index of the flow line, ascending in lateral distance.

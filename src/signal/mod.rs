@@ -9,15 +9,18 @@
 //! | [`RowSums`] | `imaging` | `flow` | none |
 //! | [`Cues`] | `flow` | `control`, anybody | `noctule/cues` |
 //! | [`Decision`] | `control` | `safety`, the controller process | `noctule/command` |
+//! | [`DaemonState`], [`GateState`], [`Reason`] | `safety` | anybody | `noctule/command`, `/platform`, `/health` |
 
 mod cues;
 mod energyscape;
 mod mask;
 mod ping;
+mod status;
 mod velocity;
 
 pub use cues::{CoverageCue, Cues, LayerCue, NearestReflection, SensorSums, WALL_PEAKS_MAX, WallPeak, WallPeaks};
 pub use energyscape::{Direction, Energyscape, PolarGrid};
 pub use mask::{Mask, MaskPurpose, MaskRow, MaskTable, NO_CELL, RowSums};
 pub use ping::{PingSet, RawPing, SENSORS_MAX, SampleFormat, Samples};
+pub use status::{DaemonState, GateState, Reason};
 pub use velocity::{Cause, Decision, LayerName, Velocity};

@@ -18,6 +18,18 @@ pub enum SampleFormat {
     PcmF32,
 }
 
+impl SampleFormat {
+    /// The name as the configuration writes it.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            SampleFormat::Pdm => "pdm",
+            SampleFormat::PcmI16 => "pcm-i16",
+            SampleFormat::PcmF32 => "pcm-f32",
+        }
+    }
+}
+
 /// Samples of one ping, all microphones. PCM is row-major `[microphones][samples]`.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Samples {

@@ -1,1 +1,228 @@
-//! CPU twin.
+//! CPU twin: the five stages in order, on a few threads, with the widest vector instructions the processor has.
+//!
+//! In: raw pings and the channels' gains. Out: energyscapes and masked sums, bit-identical for any number of threads. Scratch
+//! is owned by [`work`], the order of the stages is here; nothing is allocated after [`CpuBackend::open`]. Never judges
+//! channels and never chooses between backends.
+
+mod delay_and_sum;
+mod demodulate;
+mod envelope;
+mod masked_energy;
+mod matched_filter;
+mod pool;
+mod shares;
+mod simd;
+mod work;
+
+pub use simd::InstructionSet;
+
+use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput};
+use super::plan::ImagingPlan;
+use crate::signal::{MaskTable, PingSet, SENSORS_MAX, Samples};
+use pool::Pool;
+use std::sync::Arc;
+use std::time::Instant;
+use work::{Phase, Work};
+
+/// Most threads that a ping is cut into; more would wait for each other.
+const THREADS_MAX: usize = 64;
+
+/// The CPU backend.
+pub struct CpuBackend {
+    work: Arc<Work>,
+    pool: Pool,
+    report: BackendReport,
+    stage_times_ns: [u64; 5],
+}
+
+impl CpuBackend {
+    /// Makes all buffers and starts the threads: as many as the processor has cores unless told otherwise.
+    ///
+    /// # Errors
+    /// If the mask table does not fit the plan, or the system refuses a thread.
+    pub fn open(
+        plan: Arc<ImagingPlan>,
+        masks: Arc<MaskTable>,
+        threads: Option<usize>,
+    ) -> Result<CpuBackend, BackendError> {
+        Self::open_with(plan, masks, threads, InstructionSet::best())
+    }
+
+    /// As [`CpuBackend::open`], with chosen vector instructions.
+    ///
+    /// # Errors
+    /// As [`CpuBackend::open`], and if the processor lacks the instructions.
+    pub fn open_with(
+        plan: Arc<ImagingPlan>,
+        masks: Arc<MaskTable>,
+        threads: Option<usize>,
+        set: InstructionSet,
+    ) -> Result<CpuBackend, BackendError> {
+        if !set.is_available() {
+            return Err(BackendError::Cpu(format!("this processor has no {}", set.as_str())));
+        }
+        check_masks(&plan, &masks)?;
+        let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        let threads = threads.unwrap_or_else(cores).clamp(1, THREADS_MAX);
+        let work = Arc::new(Work::new(plan, masks, set, threads));
+        let pool = Pool::start(&work, threads)
+            .map_err(|error| BackendError::Cpu(format!("no thread to compute on: {error}")))?;
+        let report = BackendReport {
+            kind: BackendKind::Cpu,
+            adapter: set.as_str().to_owned(),
+            reason: "the CPU backend was asked for".to_owned(),
+            threads,
+        };
+        Ok(Self { work, pool, report, stage_times_ns: [0; 5] })
+    }
+
+    /// Runs the stages up to `last` for the `active` sensors; the results stay in the buffers of [`Work`].
+    fn run(
+        &mut self,
+        pings: &PingSet,
+        image: &Image,
+        active: [bool; SENSORS_MAX],
+        last: Stage,
+    ) -> Result<(), BackendError> {
+        self.work.begin(active, image.channels.iter().map(|report| &report.gains[..]));
+        let lend = |sensor: usize| &pings.pings[sensor].samples;
+        self.stage_times_ns = [0; 5];
+        for stage in Stage::ALL.into_iter().filter(|stage| *stage <= last) {
+            let start = Instant::now();
+            let (work, pool) = (&self.work, &self.pool);
+            let phase = |phase: Phase| {
+                work.rewind();
+                if pool.run(phase as usize, || work.run_own(phase, &lend)) {
+                    Ok(())
+                } else {
+                    Err(BackendError::Cpu("a thread of the CPU backend failed".to_owned()))
+                }
+            };
+            match stage {
+                Stage::Demodulate => {
+                    work.copy_raw(&lend);
+                    if work.plan.format == crate::signal::SampleFormat::Pdm {
+                        phase(Phase::Demodulate)?;
+                    }
+                }
+                Stage::MatchedFilter => phase(Phase::MatchedFilter)?,
+                Stage::DelayAndSum => phase(Phase::DelayAndSum)?,
+                Stage::Envelope => {
+                    phase(Phase::Envelope)?;
+                    work.join_images();
+                }
+                Stage::MaskedEnergy => {
+                    phase(Phase::Gain)?;
+                    phase(Phase::Rows)?;
+                }
+            }
+            self.stage_times_ns[stage as usize] = start.elapsed().as_nanos() as u64;
+        }
+        Ok(())
+    }
+}
+
+/// Refuses a table whose cells or sensors lie outside the plan's images.
+fn check_masks(plan: &ImagingPlan, masks: &MaskTable) -> Result<(), BackendError> {
+    let entries = masks.cells.len();
+    let fits = masks.sides.len() == entries
+        && masks.distances_m.len() == entries
+        && masks.cells.iter().all(|cell| (*cell as usize) < plan.grid.cell_count())
+        && masks.rows.iter().all(|row| {
+            row.sensor_index < plan.sensors.len() && row.first.checked_add(row.count).is_some_and(|end| end <= entries)
+        });
+    if fits { Ok(()) } else { Err(BackendError::Cpu("the mask table does not fit the imaging plan".to_owned())) }
+}
+
+/// Refuses pings that do not fit the plan.
+///
+/// # Errors
+/// [`BackendError::PingShape`], naming the sensor, what was found and what is allowed.
+pub(crate) fn check_pings(plan: &ImagingPlan, pings: &PingSet) -> Result<(), BackendError> {
+    if pings.pings.len() != plan.sensors.len() {
+        return Err(BackendError::PingShape {
+            sensor_index: pings.pings.len(),
+            found: format!("{} sensors", pings.pings.len()),
+            allowed: format!("{} sensors", plan.sensors.len()),
+        });
+    }
+    for (sensor_index, ping) in pings.pings.iter().enumerate().filter(|(index, _)| pings.present[*index]) {
+        let (format, len) = (ping.samples.format(), ping.samples.len());
+        if format != plan.format || len != plan.raw_len(sensor_index) {
+            return Err(BackendError::PingShape {
+                sensor_index,
+                found: format!("{len} values of {format:?}"),
+                allowed: format!("{} values of {:?}", plan.raw_len(sensor_index), plan.format),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Refuses an image that was made for another plan or table.
+fn check_image(work: &Work, image: &Image) -> Result<(), BackendError> {
+    let sensors = &work.plan.sensors;
+    let fits = image.energyscapes.len() == sensors.len()
+        && image.energyscapes.iter().all(|energyscape| energyscape.values.len() == work.plan.grid.cell_count())
+        && image.channels.len() == sensors.len()
+        && image.channels.iter().zip(sensors).all(|(report, sensor)| report.gains.len() == sensor.channel_count)
+        && image.sums.len() == work.masks.rows.len();
+    if fits { Ok(()) } else { Err(BackendError::Cpu("the image was made for another plan".to_owned())) }
+}
+
+impl Backend for CpuBackend {
+    fn image(&mut self, pings: &PingSet, image: &mut Image) -> Result<(), BackendError> {
+        check_pings(&self.work.plan, pings)?;
+        check_image(&self.work, image)?;
+        self.run(pings, image, pings.present, Stage::MaskedEnergy)?;
+        for (sensor, (energyscape, ping)) in image.energyscapes.iter_mut().zip(&pings.pings).enumerate() {
+            if pings.present[sensor] {
+                // The image takes the filled buffer and leaves its own for the next ping.
+                std::mem::swap(&mut energyscape.values, &mut *work::writing(&self.work.images[sensor]));
+                energyscape.sequence = ping.sequence;
+                energyscape.emitted_at = ping.emitted_at;
+            } else {
+                energyscape.values.fill(0.0);
+            }
+        }
+        self.work.copy_sums(&mut image.sums);
+        image.imaged = pings.present;
+        image.backend = BackendKind::Cpu;
+        image.sequence = pings.sequence;
+        image.emitted_at = pings.emitted_at;
+        Ok(())
+    }
+
+    fn image_up_to(
+        &mut self,
+        stage: Stage,
+        pings: &PingSet,
+        sensor_index: usize,
+        image: &mut Image,
+    ) -> Result<StageOutput, BackendError> {
+        check_pings(&self.work.plan, pings)?;
+        check_image(&self.work, image)?;
+        let mut active = [false; SENSORS_MAX];
+        active[sensor_index] = pings.present[sensor_index];
+        self.run(pings, image, active, stage)?;
+        let lend = |sensor: usize| -> &Samples { &pings.pings[sensor].samples };
+        Ok(match stage {
+            Stage::Demodulate => StageOutput::Real(self.work.demodulated_of(sensor_index, &lend)),
+            Stage::MatchedFilter => StageOutput::Complex(self.work.spectra_of(sensor_index)),
+            Stage::DelayAndSum => StageOutput::Complex(self.work.beams_of(sensor_index)),
+            Stage::Envelope => StageOutput::Real(work::reading(&self.work.images[sensor_index]).clone()),
+            Stage::MaskedEnergy => {
+                self.work.copy_sums(&mut image.sums);
+                StageOutput::Sums(image.sums.clone())
+            }
+        })
+    }
+
+    fn stage_times_ns(&self) -> [u64; 5] {
+        self.stage_times_ns
+    }
+
+    fn report(&self) -> &BackendReport {
+        &self.report
+    }
+}

@@ -1,0 +1,267 @@
+//! The command line as it may be typed (specification, section 11).
+
+use crate::imaging::params::Prefer;
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Sonar processing for mobile robots: raw ultrasound in, energyscapes and safe velocity commands out.
+#[derive(Debug, Parser)]
+#[command(name = "noctule", version, propagate_version = true, arg_required_else_help = true)]
+#[command(after_help = "Examples:
+  noctule demo                                   drive the simulated robot until Ctrl-C
+  noctule run --config robot.toml --source live  the daemon on a robot
+  noctule process a.npy --config robot.toml --out images --png")]
+pub struct Arguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Say more on standard error; twice for every ping.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+    /// Say only errors on standard error.
+    #[arg(short, long, global = true)]
+    pub quiet: bool,
+}
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Simulator, daemon and controller process in one: no hardware, no GPU, no network needed.
+    Demo(DemoArguments),
+    /// The daemon: images pings, decides velocities, publishes both.
+    Run(RunArguments),
+    /// The thin controller process: gates commands and drives the platform. Also the binary noctule-controller.
+    Controller(ControllerArguments),
+    /// Ask daemon and controller to arm: motion becomes possible.
+    Arm(OperatorArguments),
+    /// Ask daemon and controller to stop at once.
+    Stop(OperatorArguments),
+    /// Ask the daemon to leave its latched fault and test itself again.
+    Reset(OperatorArguments),
+    /// Image recordings into NumPy files.
+    Process(ProcessArguments),
+    /// Write the masks of the control regions, as arrays and pictures.
+    Masks(MasksArguments),
+    /// Time the stages and the whole ping, CPU and GPU side by side.
+    Bench(BenchArguments),
+    /// List every topic with its types and the byte offset of every field.
+    Topics(TopicsArguments),
+    /// Print what passes on a topic.
+    Echo(EchoArguments),
+    /// Check a configuration, world or recording and say what is wrong with it.
+    Check(CheckArguments),
+    /// Print the configuration in force, or the built-in one.
+    Config(ConfigArguments),
+}
+
+/// A backend as the command line names it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum BackendArgument {
+    /// A hardware GPU if there is one, else the CPU.
+    Auto,
+    /// Any adapter, a software one included; exit 69 where there is none.
+    Gpu,
+    /// The CPU.
+    Cpu,
+}
+
+impl From<BackendArgument> for Prefer {
+    fn from(argument: BackendArgument) -> Self {
+        match argument {
+            BackendArgument::Auto => Prefer::Auto,
+            BackendArgument::Gpu => Prefer::Gpu,
+            BackendArgument::Cpu => Prefer::Cpu,
+        }
+    }
+}
+
+/// Where the configuration comes from.
+#[derive(Debug, Clone, Args)]
+pub struct ConfigChoice {
+    /// Configuration file; the built-in three-sensor robot without it.
+    #[arg(short, long, value_name = "F")]
+    pub config: Option<PathBuf>,
+}
+
+/// `demo`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  noctule demo --duration 20
+  noctule demo --headless --duration 60 --json > summary.json
+  noctule demo --world fixtures/worlds/corridor.toml")]
+pub struct DemoArguments {
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// No status line: print the summary only.
+    #[arg(long)]
+    pub headless: bool,
+    /// End after this many seconds from the first ping set; until Ctrl-C without it.
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub duration: Option<f64>,
+    /// World file; the built-in office without it.
+    #[arg(long, value_name = "W")]
+    pub world: Option<PathBuf>,
+    /// Backend; the configuration's without it.
+    #[arg(long, value_enum, value_name = "B")]
+    pub backend: Option<BackendArgument>,
+    /// Seed of noise and start position.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Print the summary as one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `run`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  noctule run                                              simulated robot, default world
+  noctule run --config robot.toml --source live            raw pings from drivers
+  noctule run --config robot.toml --source replay:a.npy    a recording, at the pace it was made")]
+pub struct RunArguments {
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// sim, sim:WORLD, replay:FILE or live.
+    #[arg(long, default_value = "sim", value_name = "SOURCE")]
+    pub source: String,
+    /// Backend; the configuration's without it.
+    #[arg(long, value_enum, value_name = "B")]
+    pub backend: Option<BackendArgument>,
+    /// End after this many seconds from the first ping set.
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub duration: Option<f64>,
+    /// Seed of the simulator's noise and start position.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// `controller`.
+#[derive(Debug, Args)]
+pub struct ControllerArguments {
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// Arm once, for the first live daemon; never after a latch.
+    #[arg(long)]
+    pub arm: bool,
+}
+
+/// `arm`, `stop`, `reset`.
+#[derive(Debug, Args)]
+pub struct OperatorArguments {
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+}
+
+/// `process`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  noctule process ping.bin --config robot.toml --out images --png
+  noctule process a.npy b.npy --config robot.toml --out images    # images/a, images/b")]
+pub struct ProcessArguments {
+    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], or eRTIS .bin.
+    #[arg(required = true, value_name = "INPUT")]
+    pub inputs: Vec<PathBuf>,
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// Folder to write to; made if missing.
+    #[arg(short, long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Backend; the configuration's without it.
+    #[arg(long, value_enum, value_name = "B")]
+    pub backend: Option<BackendArgument>,
+    /// Sensor whose array and geometry the recordings have; the first without it.
+    #[arg(long, value_name = "NAME")]
+    pub sensor: Option<String>,
+    /// Write a picture of every ping as well.
+    #[arg(long)]
+    pub png: bool,
+}
+
+/// `masks`.
+#[derive(Debug, Args)]
+pub struct MasksArguments {
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// Folder to write to; made if missing.
+    #[arg(short, long, value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+/// `bench`.
+#[derive(Debug, Args)]
+pub struct BenchArguments {
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// Only this backend; both without it.
+    #[arg(long, value_enum, value_name = "B")]
+    pub backend: Option<BackendArgument>,
+    /// Ping sets measured for each row.
+    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub iterations: u32,
+    /// Print one JSON object instead of the table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `topics`.
+#[derive(Debug, Args)]
+pub struct TopicsArguments {
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// Print one JSON object instead of the tables.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `echo`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  noctule echo noctule/command
+  noctule echo noctule/platform --json --count 10")]
+pub struct EchoArguments {
+    /// Topic, for example noctule/command; `noctule topics` lists them.
+    pub topic: String,
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// One JSON object a line.
+    #[arg(long)]
+    pub json: bool,
+    /// End after this many samples.
+    #[arg(long, value_name = "N")]
+    pub count: Option<u64>,
+    /// End after this many seconds.
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub duration: Option<f64>,
+}
+
+/// `check`.
+#[derive(Debug, Args)]
+pub struct CheckArguments {
+    /// Configuration or world (.toml), or recording (.npy, .bin).
+    pub file: PathBuf,
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `config`.
+#[derive(Debug, Args)]
+pub struct ConfigArguments {
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// Print the built-in defaults.
+    #[arg(long, conflicts_with = "config")]
+    pub default: bool,
+}
+
+/// Accepts a positive, finite number of seconds up to a year.
+fn seconds(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("found {text}, allowed: a number of seconds"))?;
+    if value > 0.0 && value <= 31_557_600.0 {
+        Ok(value)
+    } else {
+        Err(format!("found {text}, allowed: a number above 0, at most 31557600"))
+    }
+}

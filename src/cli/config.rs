@@ -1,0 +1,31 @@
+//! `noctule config`, and loading the configuration for every other command.
+
+use super::args::{ConfigArguments, ConfigChoice};
+use super::output::print_line;
+use super::{Failure, exit};
+use crate::config::Config;
+
+/// Loads the chosen configuration, or the built-in one, and logs its warnings.
+///
+/// # Errors
+/// Exit 78 for a configuration that is missing or refused.
+pub fn load(choice: &ConfigChoice) -> Result<Config, Failure> {
+    let config = match &choice.config {
+        None => Config::default(),
+        Some(path) => Config::load(path).map_err(|error| Failure::new(exit::CONFIG, error))?,
+    };
+    for warning in config.warnings() {
+        log::warn!("{warning}");
+    }
+    Ok(config)
+}
+
+/// Prints the configuration in force with every default filled in; it loads again to an equal one.
+///
+/// # Errors
+/// Exit 78.
+pub fn config(arguments: &ConfigArguments) -> Result<(), Failure> {
+    let config = if arguments.default { Config::default() } else { load(&arguments.choice)? };
+    let text = config.to_toml();
+    print_line(text.trim_end())
+}

@@ -1,0 +1,123 @@
+//! What was typed, what it means, and the exit code it ends with.
+//!
+//! Results go to standard output, talk to standard error. One file a command; each gives `Result<(), Failure>` and the
+//! exit code is made here only (specification, section 11; codes as in `sysexits.h`).
+
+mod args;
+mod bench;
+mod check;
+mod config;
+mod demo;
+mod masks;
+mod output;
+mod process;
+mod run;
+mod topics;
+
+pub use args::{Arguments, Command};
+
+use std::fmt;
+use std::process::ExitCode;
+
+/// Exit codes of the specification.
+pub mod exit {
+    /// A finding of `check`.
+    pub const FINDING: u8 = 1;
+    /// Usage.
+    pub const USAGE: u8 = 2;
+    /// Bad data: a recording that cannot be used.
+    pub const DATA: u8 = 65;
+    /// Peer, GPU or service unavailable.
+    pub const UNAVAILABLE: u8 = 69;
+    /// Internal error.
+    pub const INTERNAL: u8 = 70;
+    /// Cannot create: no room, no folder.
+    pub const CANNOT_CREATE: u8 = 73;
+    /// Input or output error.
+    pub const IO: u8 = 74;
+    /// IPC state is stuck; the supervisor wipes it.
+    pub const IPC_STUCK: u8 = 75;
+    /// No permission.
+    pub const PERMISSION: u8 = 77;
+    /// Configuration.
+    pub const CONFIG: u8 = 78;
+}
+
+/// A command that did not succeed: what to tell the user and how to exit.
+#[derive(Debug)]
+pub struct Failure {
+    /// Exit code.
+    pub code: u8,
+    /// The message, without a final newline; empty when everything was said already.
+    pub message: String,
+}
+
+impl Failure {
+    /// A failure with a code of [`exit`].
+    pub fn new(code: u8, message: impl fmt::Display) -> Self {
+        Self { code, message: message.to_string() }
+    }
+}
+
+impl From<std::io::Error> for Failure {
+    fn from(error: std::io::Error) -> Self {
+        let code = match error.kind() {
+            std::io::ErrorKind::PermissionDenied => exit::PERMISSION,
+            _ => exit::IO,
+        };
+        Self::new(code, error)
+    }
+}
+
+/// Runs the command line and gives the process's exit code.
+#[must_use]
+pub fn main() -> ExitCode {
+    let arguments = match <Arguments as clap::Parser>::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // Help and version are results and exit with 0; a broken pipe while printing them is no failure either.
+            let _ = error.print();
+            return ExitCode::from(if error.use_stderr() { exit::USAGE } else { 0 });
+        }
+    };
+    start_logging(arguments.verbose, arguments.quiet);
+    match dispatch(arguments.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            if !failure.message.is_empty() {
+                eprintln!("noctule: {}", failure.message);
+            }
+            ExitCode::from(failure.code)
+        }
+    }
+}
+
+/// Log level comes from the command line alone: no environment variable changes what the program does.
+pub fn start_logging(verbose: u8, quiet: bool) {
+    let level = match (quiet, verbose) {
+        (true, _) => log::LevelFilter::Error,
+        (false, 0) => log::LevelFilter::Info,
+        (false, 1) => log::LevelFilter::Debug,
+        (false, _) => log::LevelFilter::Trace,
+    };
+    let foreign = if verbose > 2 { level } else { log::LevelFilter::Warn.min(level) };
+    env_logger::Builder::new().filter_level(foreign).filter_module("noctule", level).format_target(false).init();
+}
+
+fn dispatch(command: Command) -> Result<(), Failure> {
+    match command {
+        Command::Demo(arguments) => demo::demo(&arguments),
+        Command::Run(arguments) => run::run(&arguments),
+        Command::Controller(arguments) => run::controller(&arguments),
+        Command::Arm(arguments) => run::operator(&arguments, run::Request::Arm),
+        Command::Stop(arguments) => run::operator(&arguments, run::Request::Stop),
+        Command::Reset(arguments) => run::operator(&arguments, run::Request::Reset),
+        Command::Process(arguments) => process::process(&arguments),
+        Command::Masks(arguments) => masks::masks(&arguments),
+        Command::Bench(arguments) => bench::bench(&arguments),
+        Command::Topics(arguments) => topics::topics(&arguments),
+        Command::Echo(arguments) => topics::echo(&arguments),
+        Command::Check(arguments) => check::check(&arguments),
+        Command::Config(arguments) => config::config(&arguments),
+    }
+}

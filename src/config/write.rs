@@ -1,0 +1,202 @@
+//! A [`Config`] as a TOML file that explains itself.
+//!
+//! Goes in: a configuration. Comes out: the text of `noctule config --default`: every key with a comment, keys that have no
+//! value as a comment of their own. Judges nothing.
+
+use super::Config;
+use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, Value};
+
+/// What is said above each key or table header. A table's text names its optional keys, for those that are left out.
+const COMMENTS: &[(&str, &str)] = &[
+    ("config_version", "Version of this format."),
+    ("speed_of_sound_m_s", "Speed of sound; or instead of it: air_temperature_c = 20.0"),
+    ("air_temperature_c", "Temperature of the air; or instead of it: speed_of_sound_m_s = 343.0"),
+    (
+        "recording",
+        "Raw data, as the files and the driver have it. Left out, these follow from the format:\n# sample_rate_hz, samples (PDM words for pdm), decimation (pdm only).",
+    ),
+    ("recording.format", "\"pdm\", \"pcm-i16\" or \"pcm-f32\""),
+    ("recording.sample_rate_hz", "Rate of PDM words or PCM samples."),
+    ("recording.samples", "PDM words, or PCM samples of one microphone, in a ping."),
+    ("recording.decimation", "PDM words per demodulated sample; pdm only."),
+    ("emission", "The sweep sent out. With shape = \"csv\", file names the samples and start_hz, end_hz their band."),
+    ("emission.shape", "\"hyperbolic\", \"linear\" or \"csv\""),
+    ("emission.start_hz", "Frequency at the start."),
+    ("emission.end_hz", "Frequency at the end."),
+    ("emission.duration_s", "Duration."),
+    ("emission.taper", "Share of the duration that the fade at each end takes, 0 to 0.5."),
+    ("emission.file", "CSV of samples at the demodulated rate, relative to this file."),
+    (
+        "imaging",
+        "Sonar images. Optional: range_step_m (default: the smaller of 5 mm and c / (2.4 bandwidth)), smoothing_hz.",
+    ),
+    ("imaging.backend", "\"auto\" (a hardware GPU, else the CPU), \"gpu\" (any adapter) or \"cpu\""),
+    ("imaging.range_min_m", "First range."),
+    ("imaging.range_max_m", "Last range."),
+    ("imaging.range_step_m", "Largest distance between ranges."),
+    (
+        "imaging.directions",
+        "Directions of interest: a horizontal fan, or { file = \"directions.csv\" } of azimuth_deg,elevation_deg.",
+    ),
+    ("imaging.weighting", "Matched filter: \"none\" or \"phat\"."),
+    ("imaging.smoothing_hz", "Cut-off of the smoothing low-pass on the envelope."),
+    ("sensor", "A sensor, 1 to 3 of them. Any [[sensor]] replaces all built-in ones."),
+    ("sensor.name", "Part of the topic names."),
+    ("sensor.mount", "Distance and bearing of its place from the robot's centre, yaw against that bearing."),
+    ("sensor.array", "\"ertis-v3d1\", or a CSV file of mic,x_m,y_m,z_m rows, relative to this file."),
+    ("sensor.disabled_mics", "Microphones that are not used, counted from 0."),
+    ("sensor.emitter_m", "Place of the emitter in the sensor's frame: forward, left, up."),
+    ("obstruction", "A shape in the robot frame that hides what is behind it."),
+    ("platform", "The robot."),
+    ("platform.radius_m", "Radius of its footprint, a disc about the centre of rotation."),
+    ("platform.max_linear_m_s", "Largest speed, either way."),
+    ("platform.max_angular_rad_s", "Largest turn rate, either way."),
+    ("platform.max_linear_accel_m_s2", "Largest change of speed."),
+    ("platform.max_angular_accel_rad_s2", "Largest change of turn rate."),
+    (
+        "control",
+        "The layered controller. A layer whose table says enabled = false is off. Regions are shapes in the robot\n# frame: rectangle, circle, half-circle, sector, trapezoid, polygon; flow-lines for flow following.",
+    ),
+    ("control.rate_hz", "Ping sets a second."),
+    ("control.collision_avoidance", "Turn away on the spot; from the fourth time in a row a little backward."),
+    ("control.obstacle_avoidance", "Steer around and slow down."),
+    ("control.flow_following", "Follow a wall or a corridor. Optional: set_distance_m, to keep from a single wall."),
+    ("control.corridor_following", "Balance left against right."),
+    ("control.energy", "What counts as energy: gain over range, noise floor."),
+    ("control.coverage", "How much of the way must be seen."),
+    ("control.stuck", "When the robot counts as stuck, and how it gets away."),
+    (
+        "ipc",
+        "Shared memory. Optional: root, by default /run/noctule as root, else $XDG_RUNTIME_DIR/noctule, else\n# /tmp/noctule-<uid>; relative to this file, mode 0700.",
+    ),
+    ("ipc.root", "Directory of the shared files, private to one user."),
+    ("ipc.prefix", "First characters of every name in it."),
+    ("safety", "Timeouts of the safe-state contract. None can be switched off."),
+    ("safety.max_age_ms", "Oldest capture that may still move the robot."),
+    ("safety.hold_latch_s", "How long the controller waits in HOLD before it must be armed again."),
+    ("safety.gpu_deadline_ms", "How long a GPU may take for a ping set before the CPU redoes it."),
+    ("safety.group_deadline_ms", "How long to wait for the other sensors of an emission."),
+    ("safety.input_max_age_ms", "Oldest wanted velocity that is still obeyed."),
+    ("detect", "Detectors on ranges."),
+    ("detect.projection", "Vector projection on the planned edge."),
+    ("detect.projection.range_max_m", "Range beyond which a reading counts nothing."),
+    ("detect.projection.edge_distance_max_m", "Distance from the edge beyond which the detector is blind."),
+    ("detect.projection.threshold", "A projection above this, of at most 10, is an obstacle."),
+    ("detect.projection.cone_deg", "Full apex angle of a virtual sonar's cone."),
+    ("detect.ring", "Virtual sonar ring."),
+    ("detect.ring.ring_radius_m", "Radius of the ring."),
+    ("detect.ring.cone_deg", "Full apex angle of a virtual sonar's cone."),
+    ("detect.ring.cell_m", "Edge of a cell of the occupancy grid."),
+];
+
+/// What is said above keys that several layers share, by their last part.
+const LAYER_COMMENTS: &[(&str, &str)] = &[
+    ("enabled", "Whether it is there at all."),
+    ("regions", "Where it looks, robot frame, metres."),
+    ("threshold", "Fires above this energy."),
+    ("release", "Lets go when not above this energy."),
+    ("threshold_single", "Energy along a flow line above which a single wall is followed."),
+    ("threshold_corridor", "Energy along flow lines on both sides above which a corridor is followed."),
+    ("release_ratio", "Share of a threshold that a wall may fall to before it is lost."),
+    ("trigger_count", "Ping sets in a row before it fires."),
+    ("release_count", "Ping sets in a row before it lets go."),
+    ("omega_rad_s", "Turn rate away from the nearest reflection."),
+    ("reverse_m_s", "Speed of the way back."),
+    ("reverse_after", "The trigger in a row from which it goes back."),
+    ("reverse_max_m", "Longest way back."),
+    ("reverse_max_s", "Longest time of going back."),
+    ("lambda", "Gain of the turn rate."),
+    ("mu", "Gain of the slow-down."),
+    ("energy_reference", "Energy that stops the robot at mu = 1."),
+    ("prominence", "By how much a wall must stand out."),
+    ("separation_m", "Least distance between two walls."),
+    ("set_distance_m", "Distance to keep from a single wall."),
+    ("derivative_filter_s", "Time constant of the corridor law's derivative."),
+    ("spreading_exponent", "Compensation of spreading, range to this power."),
+    ("absorption_db_m", "Compensation of absorption, for each metre of path."),
+    ("noise_floor_dbfs", "[range_m, dBFS] points; what is below counts as nothing."),
+    ("side_lobe_db", "Echoes this far below the loudest at their range may be its side lobes."),
+    ("blind_gap_m", "Longest unseen stretch at the footprint that counts as seen before."),
+    ("reaction_s", "Time from an obstacle's coming into view to the beginning of braking."),
+    ("time_s", "Time without progress while motion is asked for."),
+    ("distance_m", "What counts as progress in that time."),
+    ("escape_turn_deg", "First turn on the spot to get away."),
+];
+
+/// The comment of a dotted key without indices.
+pub(super) fn comment(path: &str) -> Option<&'static str> {
+    let find =
+        |table: &[(&str, &'static str)], key: &str| table.iter().find(|(name, _)| *name == key).map(|(_, text)| *text);
+    let last = path.rsplit('.').next().unwrap_or(path);
+    let shared = path.strip_prefix("control.").and_then(|_| find(LAYER_COMMENTS, last));
+    find(COMMENTS, path).or(shared)
+}
+
+/// Tables that are written in one line.
+const INLINE: [&str; 2] = ["mount", "directions"];
+
+pub(super) fn to_toml(config: &Config) -> String {
+    let mut document = match toml_edit::ser::to_document(config) {
+        Ok(document) => document,
+        Err(error) => unreachable!("a configuration is made of tables, lists, numbers and strings: {error}"),
+    };
+    if config.obstruction.is_empty() {
+        document.remove("obstruction");
+    }
+    lay_out("", &mut document);
+    let document: DocumentMut = document;
+    format!(
+        "# noctule configuration: SI units, robot frame x forward, y left, angles counter-clockwise.\n\n{}",
+        document.to_string().trim_start()
+    )
+}
+
+/// Turns the inline tables and lists of the serializer into sections, and puts a comment above each key.
+fn lay_out(path: &str, table: &mut Table) {
+    let keys: Vec<String> = table.iter().map(|(key, _)| key.to_owned()).collect();
+    for key in keys {
+        let key_path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+        let text = comment(&key_path).map_or(String::new(), |text| format!("# {text}\n"));
+        let Some(item) = table.get_mut(&key) else { continue };
+        match item {
+            Item::Value(Value::InlineTable(inline)) if !INLINE.contains(&key.as_str()) => {
+                let mut section = std::mem::take(inline).into_table();
+                lay_out(&key_path, &mut section);
+                section.decor_mut().set_prefix(format!("\n{text}"));
+                *item = Item::Table(section);
+                continue;
+            }
+            Item::Value(Value::Array(array)) if path.is_empty() => {
+                let mut sections = ArrayOfTables::new();
+                for value in std::mem::take(array) {
+                    let Value::InlineTable(inline) = value else { continue };
+                    let mut section = inline.into_table();
+                    // One comment for all of them, and for their keys, is enough.
+                    let first = sections.is_empty();
+                    if first {
+                        lay_out(&key_path, &mut section);
+                    } else {
+                        section.fmt();
+                    }
+                    section.decor_mut().set_prefix(if first { format!("\n{text}") } else { "\n".to_owned() });
+                    sections.push(section);
+                }
+                *item = Item::ArrayOfTables(sections);
+                continue;
+            }
+            Item::Value(Value::Array(array)) if key == "regions" => one_a_line(array),
+            _ => {}
+        }
+        if let Some(mut key) = table.key_mut(&key) {
+            key.leaf_decor_mut().set_prefix(text);
+        }
+    }
+}
+
+fn one_a_line(array: &mut toml_edit::Array) {
+    for value in array.iter_mut() {
+        value.decor_mut().set_prefix("\n    ");
+    }
+    array.set_trailing_comma(true);
+    array.set_trailing("\n");
+}

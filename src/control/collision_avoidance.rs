@@ -1,0 +1,122 @@
+//! CA: stop, turn away from the nearest reflection, back off where that is seen to be safe (paper 000, eq. 11, with |M|).
+//!
+//! Goes in: the cue of the CA region. Comes out: V = 0 and a constant turn rate, its side held until the region is clear; from
+//! the fourth ping set in a row that is above the threshold a slow reverse, within a budget of way and time. Never drives
+//! forward.
+
+use super::layer::{BehaviourLayer, Hysteresis, LayerOutput, Situation, is_above, region_cause};
+use super::params::CollisionAvoidanceParams;
+use crate::signal::{LayerCue, LayerName, Velocity};
+
+/// Way behind the footprint that must be seen and free for the next piece of reverse, besides that piece.
+const REVERSE_MARGIN_M: f64 = 0.1;
+
+/// Periods that a command may live before the next one or the age limit ends it: what the reverse budget must have left.
+const PERIODS_HELD_MAX: f64 = 3.0;
+
+/// The layer and its memory.
+#[derive(Debug, Clone)]
+pub struct CollisionAvoidance {
+    params: CollisionAvoidanceParams,
+    period_s: f64,
+    switch: Hysteresis,
+    /// Ping sets in a row whose energy held the layer.
+    run: u32,
+    /// +1 turning left, -1 right; held while the layer is on.
+    held_turn: Option<f64>,
+    last_turn: Option<f64>,
+    /// Spent since the region was clear.
+    reversed_m: f64,
+    reversed_s: f64,
+    reversing: bool,
+}
+
+impl CollisionAvoidance {
+    /// The layer, idle. `period_s` is the time between ping sets.
+    #[must_use]
+    pub fn new(params: &CollisionAvoidanceParams, period_s: f64) -> Self {
+        Self {
+            params: params.clone(),
+            period_s,
+            switch: Hysteresis::new(params.trigger_count, params.release_count),
+            run: 0,
+            held_turn: None,
+            last_turn: None,
+            reversed_m: 0.0,
+            reversed_s: 0.0,
+            reversing: false,
+        }
+    }
+
+    /// +1 to turn left, -1 right: away from the nearest reflection; with none, or left and right equally near, the way that
+    /// the wanted velocity turns, else the way turned last, else left.
+    fn choose_turn(&self, cue: &LayerCue, wanted: Velocity) -> f64 {
+        match cue.nearest.map_or(0, |nearest| nearest.side) {
+            0 if wanted.angular_rad_s != 0.0 => wanted.angular_rad_s.signum(),
+            0 => self.last_turn.unwrap_or(1.0),
+            side => -f64::from(side.signum()),
+        }
+    }
+
+    /// Whether one more command to reverse stays within the budget and within what is seen behind, however long it lives.
+    fn may_reverse(&self, behind_m: f64) -> bool {
+        let held_s = PERIODS_HELD_MAX * self.period_s;
+        let held_m = self.params.reverse_m_s * held_s;
+        self.run >= self.params.reverse_after
+            && self.reversed_m + held_m <= self.params.reverse_max_m + 1e-9
+            && self.reversed_s + held_s <= self.params.reverse_max_s + 1e-9
+            && behind_m >= held_m + REVERSE_MARGIN_M
+    }
+}
+
+impl BehaviourLayer for CollisionAvoidance {
+    fn name(&self) -> LayerName {
+        LayerName::CollisionAvoidance
+    }
+
+    fn observe(&mut self, situation: &Situation) -> bool {
+        if self.reversing {
+            // A period was charged when it was commanded; a late ping set made it longer.
+            let overtime_s = (situation.elapsed_s - self.period_s).max(0.0);
+            self.reversed_m += self.params.reverse_m_s * overtime_s;
+            self.reversed_s += overtime_s;
+            self.reversing = false;
+        }
+        let energy = f64::from(situation.cues.collision.energy);
+        let holds = is_above(energy, self.params.release);
+        let was_on = self.switch.is_on();
+        let on = self.switch.update(is_above(energy, self.params.threshold), holds);
+        self.run = if on && holds { self.run.saturating_add(1) } else { 0 };
+        if on && !was_on {
+            self.held_turn = Some(self.choose_turn(&situation.cues.collision, situation.wanted));
+            self.last_turn = self.held_turn;
+        } else if !on {
+            self.held_turn = None;
+            (self.reversed_m, self.reversed_s) = (0.0, 0.0);
+        }
+        on
+    }
+
+    fn act(&mut self, situation: &Situation) -> LayerOutput {
+        let cue = &situation.cues.collision;
+        self.reversing = self.may_reverse(situation.cues.coverage.behind_m);
+        if self.reversing {
+            self.reversed_m += self.params.reverse_m_s * self.period_s;
+            self.reversed_s += self.period_s;
+        }
+        let turn = self.held_turn.unwrap_or(1.0);
+        LayerOutput {
+            velocity: Velocity {
+                linear_m_s: if self.reversing { -self.params.reverse_m_s } else { 0.0 },
+                angular_rad_s: turn * self.params.omega_rad_s,
+            },
+            cause: region_cause(cue, cue.energy, self.params.threshold),
+        }
+    }
+
+    fn stand_by(&mut self) {}
+
+    fn reset(&mut self) {
+        *self = Self::new(&self.params, self.period_s);
+    }
+}

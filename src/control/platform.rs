@@ -1,0 +1,46 @@
+//! `[platform]` of the configuration: what the robot is and can do.
+
+use crate::parameter::{ParameterError, check_positive};
+use serde::{Deserialize, Serialize};
+
+/// `[platform]`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PlatformLimits {
+    /// Radius of the footprint, a disc about the centre of rotation.
+    pub radius_m: f64,
+    /// Largest speed, either way.
+    pub max_linear_m_s: f64,
+    /// Largest turn rate, either way.
+    pub max_angular_rad_s: f64,
+    /// Largest change of speed.
+    pub max_linear_accel_m_s2: f64,
+    /// Largest change of turn rate.
+    pub max_angular_accel_rad_s2: f64,
+}
+
+impl Default for PlatformLimits {
+    fn default() -> Self {
+        Self {
+            radius_m: 0.20,
+            max_linear_m_s: 0.3,
+            max_angular_rad_s: 1.0,
+            max_linear_accel_m_s2: 1.0,
+            max_angular_accel_rad_s2: 3.0,
+        }
+    }
+}
+
+impl PlatformLimits {
+    /// Refuses what no robot is.
+    ///
+    /// # Errors
+    /// The first key that is not allowed, relative to `[platform]`.
+    pub fn validate(&self) -> Result<(), ParameterError> {
+        check_positive("radius_m", self.radius_m, 5.0)?;
+        check_positive("max_linear_m_s", self.max_linear_m_s, 5.0)?;
+        check_positive("max_angular_rad_s", self.max_angular_rad_s, 10.0)?;
+        check_positive("max_linear_accel_m_s2", self.max_linear_accel_m_s2, 50.0)?;
+        check_positive("max_angular_accel_rad_s2", self.max_angular_accel_rad_s2, 100.0)
+    }
+}

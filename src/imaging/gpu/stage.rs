@@ -1,0 +1,85 @@
+//! The table of kernels: shader, entry point, bindings and workgroup of every dispatch there can be.
+//!
+//! In: nothing. Out: what `program.rs` makes pipelines from, and what tests/shader_layout.rs compares with the shaders
+//! themselves. Shaders are joined with their shared parts by plain concatenation. Never talks to a device.
+
+use crate::imaging::backend::Stage;
+
+/// How a kernel uses a binding.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// Read only.
+    Read,
+    /// Read and written.
+    Write,
+}
+
+/// One entry point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Kernel {
+    /// The stage that it is a part of.
+    pub stage: Stage,
+    /// Name in the stage's shader.
+    pub entry_point: &'static str,
+    /// Threads of a workgroup.
+    pub workgroup: [u32; 3],
+    /// Storage bindings that it uses. Binding 0, the uniform block, is everybody's.
+    pub bindings: &'static [(u32, Access)],
+}
+
+/// WGSL of a stage, shared parts first.
+#[must_use]
+pub fn source(stage: Stage) -> &'static str {
+    macro_rules! joined {
+        ($($file:literal),+) => { concat!($(include_str!(concat!("../../../shaders/", $file))),+) };
+    }
+    match stage {
+        Stage::Demodulate => joined!("common/params.wgsl", "demodulate.wgsl"),
+        Stage::MatchedFilter => {
+            joined!("common/params.wgsl", "common/complex.wgsl", "common/fft.wgsl", "matched_filter.wgsl")
+        }
+        Stage::DelayAndSum => joined!("common/params.wgsl", "common/complex.wgsl", "delay_and_sum.wgsl"),
+        Stage::Envelope => joined!("common/params.wgsl", "common/complex.wgsl", "common/fft.wgsl", "envelope.wgsl"),
+        Stage::MaskedEnergy => joined!("common/params.wgsl", "masked_energy.wgsl"),
+    }
+}
+
+const ALONG: [u32; 3] = [64, 1, 1];
+const BUTTERFLIES: [u32; 3] = [16, 8, 1];
+
+/// All kernels, in the order of the stages.
+pub const KERNELS: &[Kernel] = {
+    use Access::{Read, Write};
+    use Stage::{DelayAndSum, Demodulate, Envelope, MaskedEnergy, MatchedFilter};
+    &[
+        kernel(Demodulate, "transpose_words", ALONG, &[(1, Read), (2, Write)]),
+        kernel(Demodulate, "demodulate_pdm", ALONG, &[(2, Write), (3, Read), (4, Read), (5, Write)]),
+        kernel(Demodulate, "demodulate_i16", ALONG, &[(1, Read), (5, Write)]),
+        kernel(Demodulate, "demodulate_f32", ALONG, &[(1, Read), (5, Write)]),
+        kernel(MatchedFilter, "band_filter", ALONG, &[(1, Read), (2, Read), (4, Write)]),
+        kernel(MatchedFilter, "forward_pass", BUTTERFLIES, &[(3, Read), (4, Write)]),
+        kernel(MatchedFilter, "forward_last", BUTTERFLIES, &[(3, Read), (4, Write), (5, Read), (6, Read)]),
+        kernel(DelayAndSum, "delay_and_sum", ALONG, &[(1, Read), (2, Read), (3, Read), (4, Write)]),
+        kernel(Envelope, "inverse_first", BUTTERFLIES, &[(1, Read), (2, Write)]),
+        kernel(Envelope, "inverse_pass", BUTTERFLIES, &[(1, Read), (2, Write)]),
+        kernel(Envelope, "inverse_last", BUTTERFLIES, &[(1, Read), (3, Read), (4, Write)]),
+        kernel(Envelope, "inverse_last_whole", BUTTERFLIES, &[(1, Read), (5, Write)]),
+        kernel(Envelope, "smooth_rows", ALONG, &[(3, Read), (4, Write), (5, Write), (6, Read)]),
+        kernel(MaskedEnergy, "masked_energy", [128, 1, 1], &[(1, Write), (2, Read), (3, Read), (4, Read)]),
+    ]
+};
+
+const fn kernel(
+    stage: Stage,
+    entry_point: &'static str,
+    workgroup: [u32; 3],
+    bindings: &'static [(u32, Access)],
+) -> Kernel {
+    Kernel { stage, entry_point, workgroup, bindings }
+}
+
+/// The kernel of that name.
+#[must_use]
+pub fn find(entry_point: &str) -> Option<&'static Kernel> {
+    KERNELS.iter().find(|kernel| kernel.entry_point == entry_point)
+}

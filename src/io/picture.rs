@@ -1,0 +1,290 @@
+//! Pictures of energyscapes and masks, seen from above: forward is up, left is left. For people; nothing reads them back.
+//!
+//! In: an image or mask on its grid. Out: an RGB picture and its PNG. Never scales data, only colours.
+
+use crate::geometry::polar_from_cartesian;
+use crate::sensor::SensorSetup;
+use crate::signal::{Energyscape, Mask, PolarGrid};
+use embedded_graphics::mono_font::{MonoTextStyle, ascii::FONT_7X13};
+use embedded_graphics::pixelcolor::Rgb888;
+use embedded_graphics::prelude::*;
+use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle};
+use embedded_graphics::text::{Alignment, Text};
+use nalgebra::Vector2;
+use std::convert::Infallible;
+use std::path::Path;
+
+const BACKGROUND: Rgb888 = Rgb888::new(255, 255, 255);
+const SEEN: Rgb888 = Rgb888::new(244, 244, 240);
+const LEFT: Rgb888 = Rgb888::new(230, 126, 34);
+const RIGHT: Rgb888 = Rgb888::new(41, 121, 185);
+const INK: Rgb888 = Rgb888::new(60, 60, 60);
+const GRID_LINE: Rgb888 = Rgb888::new(150, 150, 150);
+/// Decibels between the brightest and the darkest colour.
+const DYNAMIC_RANGE_DB: f64 = 50.0;
+const MARGIN_PX: i32 = 36;
+
+/// An RGB picture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    width: u32,
+    height: u32,
+    pixels: Vec<Rgb888>,
+}
+
+impl Picture {
+    fn new(width: u32, height: u32) -> Self {
+        Self { width, height, pixels: vec![BACKGROUND; width as usize * height as usize] }
+    }
+
+    /// Width and height in pixels.
+    #[must_use]
+    pub fn size_px(&self) -> (u32, u32) {
+        (self.width, self.height)
+    }
+
+    /// Colour of a pixel, (0, 0) at the top left; `None` outside.
+    #[must_use]
+    pub fn pixel(&self, x: i32, y: i32) -> Option<[u8; 3]> {
+        self.index(x, y).map(|index| {
+            let colour = self.pixels[index];
+            [colour.r(), colour.g(), colour.b()]
+        })
+    }
+
+    fn index(&self, x: i32, y: i32) -> Option<usize> {
+        let inside = (0..self.width.cast_signed()).contains(&x) && (0..self.height.cast_signed()).contains(&y);
+        inside.then(|| y as usize * self.width as usize + x as usize)
+    }
+
+    fn shape(&mut self, drawn: impl Drawable<Color = Rgb888>) {
+        let Ok(_) = drawn.draw(self);
+    }
+
+    fn line(&mut self, from: Point, to: Point, colour: Rgb888) {
+        self.shape(Line::new(from, to).into_styled(PrimitiveStyle::with_stroke(colour, 1)));
+    }
+
+    fn label(&mut self, text: &str, at: Point, alignment: Alignment) {
+        self.shape(Text::with_alignment(text, at, MonoTextStyle::new(&FONT_7X13, INK), alignment));
+    }
+}
+
+impl OriginDimensions for Picture {
+    fn size(&self) -> Size {
+        Size::new(self.width, self.height)
+    }
+}
+
+impl DrawTarget for Picture {
+    type Color = Rgb888;
+    type Error = Infallible;
+
+    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
+        for Pixel(point, colour) in pixels {
+            if let Some(index) = self.index(point.x, point.y) {
+                self.pixels[index] = colour;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writes a PNG.
+///
+/// # Errors
+/// What the file system or the encoder says.
+pub fn write_png(path: &Path, picture: &Picture) -> std::io::Result<()> {
+    let file = std::io::BufWriter::new(std::fs::File::create(path)?);
+    let mut encoder = png::Encoder::new(file, picture.width, picture.height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header()?;
+    let bytes: Vec<u8> = picture.pixels.iter().flat_map(|colour| [colour.r(), colour.g(), colour.b()]).collect();
+    writer.write_image_data(&bytes)?;
+    Ok(writer.finish()?)
+}
+
+/// Pixels to metres and back: the frame's origin at `origin`, x up, y to the left.
+struct View {
+    origin: Point,
+    pixels_per_m: f64,
+}
+
+impl View {
+    fn pixel(&self, point_m: Vector2<f64>) -> Point {
+        let right = (-point_m.y * self.pixels_per_m).round() as i32;
+        let up = (point_m.x * self.pixels_per_m).round() as i32;
+        Point::new(self.origin.x + right, self.origin.y - up)
+    }
+
+    fn point_m(&self, x: i32, y: i32) -> Vector2<f64> {
+        Vector2::new(f64::from(self.origin.y - y), f64::from(self.origin.x - x)) / self.pixels_per_m
+    }
+}
+
+/// For every degree of azimuth the directions to look at: the nearest one, and in a grid with elevations all that are
+/// as near, so that the picture shows the largest value over elevation.
+struct Azimuths {
+    first_deg: i32,
+    directions: Vec<Vec<usize>>,
+}
+
+impl Azimuths {
+    fn new(grid: &PolarGrid) -> Self {
+        let azimuths: Vec<f64> = grid.directions().iter().map(|direction| direction.azimuth_rad.to_degrees()).collect();
+        let mut sorted = azimuths.clone();
+        sorted.sort_by(f64::total_cmp);
+        let gaps = sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > 1e-6);
+        let reach_deg = gaps.fold(0.0, f64::max).clamp(1.0, 10.0) * 0.75;
+        let nearest = |degree: i32| {
+            let distance = |azimuth: f64| (azimuth - f64::from(degree) / 4.0).abs();
+            let best = azimuths.iter().copied().map(distance).fold(f64::INFINITY, f64::min);
+            let near = azimuths.iter().enumerate().filter(|(_, azimuth)| distance(**azimuth) <= best + 1e-6);
+            if best <= reach_deg { near.map(|(index, _)| index).collect() } else { Vec::new() }
+        };
+        Self { first_deg: -720, directions: (-720..=720).map(nearest).collect() }
+    }
+
+    /// Cells at a point of the sensor frame; none outside the grid.
+    fn cells<'a>(&'a self, grid: &'a PolarGrid, point_m: Vector2<f64>) -> impl Iterator<Item = usize> + 'a {
+        let (range_m, bearing_rad) = polar_from_cartesian(point_m);
+        let quarter_degree = (bearing_rad.to_degrees() * 4.0).round() as i32;
+        let directions = self.directions.get((quarter_degree - self.first_deg) as usize).map_or(&[][..], Vec::as_slice);
+        let range = grid.nearest_range_index(range_m);
+        range.into_iter().flat_map(move |range| directions.iter().map(move |direction| grid.cell(*direction, range)))
+    }
+}
+
+/// Draws an energyscape from above, sensor at the bottom, in decibels of full scale with a colour bar.
+#[must_use]
+pub fn render_energyscape(energyscape: &Energyscape) -> Picture {
+    let grid = &energyscape.grid;
+    let range_max_m = grid.range_m(grid.range_count() - 1);
+    let (radius_px, bar_px) = (400, 80);
+    let mut picture = Picture::new((2 * (radius_px + MARGIN_PX) + bar_px) as u32, (radius_px + 2 * MARGIN_PX) as u32);
+    let view = View {
+        origin: Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX),
+        pixels_per_m: f64::from(radius_px) / range_max_m,
+    };
+    let peak = f64::from(energyscape.peak().1).max(1e-9);
+    let top_db = (decibels(peak) / 5.0).ceil() * 5.0;
+    let azimuths = Azimuths::new(grid);
+    for y in 0..=view.origin.y {
+        for x in 0..2 * (radius_px + MARGIN_PX) {
+            let values = azimuths.cells(grid, view.point_m(x, y)).map(|cell| energyscape.values[cell]);
+            if let Some(value) = values.reduce(f32::max) {
+                let colour = heat((decibels(f64::from(value)) - top_db) / DYNAMIC_RANGE_DB + 1.0);
+                picture.shape(Pixel(Point::new(x, y), colour));
+            }
+        }
+    }
+    range_rings(&mut picture, &view, range_max_m);
+    for degrees in [-60, -30, 0, 30, 60] {
+        let bearing_rad = f64::from(degrees).to_radians();
+        let at = view.pixel(Vector2::new(bearing_rad.cos(), bearing_rad.sin()) * (range_max_m * 1.045));
+        picture.label(&format!("{degrees}"), at, Alignment::Center);
+    }
+    colour_bar(&mut picture, 2 * (radius_px + MARGIN_PX), radius_px, top_db);
+    picture
+}
+
+/// Draws a mask over the robot, from above: left of its x axis orange, right blue, seen cells outside the region pale.
+#[must_use]
+pub fn render_mask(mask: &Mask, grid: &PolarGrid, sensor: &SensorSetup) -> Picture {
+    let pose = sensor.mount.pose();
+    let reach_m = pose.position_m().norm() + grid.range_m(grid.range_count() - 1);
+    let radius_px = 300;
+    let side_px = 2 * (radius_px + MARGIN_PX);
+    let mut picture = Picture::new(side_px as u32, side_px as u32);
+    let view = View {
+        origin: Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX),
+        pixels_per_m: f64::from(radius_px) / reach_m,
+    };
+    let azimuths = Azimuths::new(grid);
+    for y in 0..side_px {
+        for x in 0..side_px {
+            let mut cells = azimuths.cells(grid, pose.local_from_parent(view.point_m(x, y)));
+            if let Some(cell) = cells.next() {
+                let colour = match mask.values[cell] {
+                    0 => SEEN,
+                    side if side > 0 => LEFT,
+                    _ => RIGHT,
+                };
+                picture.shape(Pixel(Point::new(x, y), colour));
+            }
+        }
+    }
+    range_rings(&mut picture, &view, reach_m);
+    let place = view.pixel(pose.position_m());
+    picture.shape(Circle::with_center(place, 9).into_styled(PrimitiveStyle::with_fill(INK)));
+    let nose = pose.parent_from_local(Vector2::new(reach_m * 0.06, 0.0));
+    picture.line(place, view.pixel(nose), INK);
+    picture.line(view.origin, view.pixel(Vector2::new(reach_m * 0.1, 0.0)), INK);
+    let title = format!("{} of {}: left orange, right blue, robot looks up", mask.layer.as_str(), sensor.name);
+    picture.label(&title, Point::new(8, 16), Alignment::Left);
+    picture
+}
+
+fn range_rings(picture: &mut Picture, view: &View, reach_m: f64) {
+    let step_m = [0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|step| reach_m / step <= 6.0).unwrap_or(20.0);
+    let mut ring_m = step_m;
+    while ring_m <= reach_m {
+        let diameter = (2.0 * ring_m * view.pixels_per_m).round() as u32;
+        let ring = Circle::with_center(view.origin, diameter);
+        picture.shape(ring.into_styled(PrimitiveStyle::with_stroke(GRID_LINE, 1)));
+        let at = view.pixel(Vector2::new(0.0, -ring_m));
+        picture.label(&format!("{ring_m} m"), Point::new(at.x, view.origin.y + 14), Alignment::Center);
+        ring_m += step_m;
+    }
+}
+
+fn colour_bar(picture: &mut Picture, left: i32, height: i32, top_db: f64) {
+    for y in 0..height {
+        let colour = heat(1.0 - f64::from(y) / f64::from(height));
+        picture.line(Point::new(left, MARGIN_PX + y), Point::new(left + 16, MARGIN_PX + y), colour);
+    }
+    for step in 0..=5 {
+        let share = f64::from(step) / 5.0;
+        let y = MARGIN_PX + (share * f64::from(height)) as i32;
+        let text = format!("{:.0}", top_db - share * DYNAMIC_RANGE_DB);
+        picture.label(&text, Point::new(left + 20, y + 4), Alignment::Left);
+    }
+    picture.label("dBFS", Point::new(left, MARGIN_PX - 12), Alignment::Left);
+}
+
+fn decibels(amplitude: f64) -> f64 {
+    20.0 * amplitude.max(1e-12).log10()
+}
+
+fn heat(share: f64) -> Rgb888 {
+    let colour = colorous::INFERNO.eval_continuous(share.clamp(0.0, 1.0));
+    Rgb888::new(colour.r, colour.g, colour.b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::signal::Direction;
+    use std::sync::Arc;
+
+    fn grid() -> Arc<PolarGrid> {
+        let directions = (0..180).map(|index| Direction::horizontal((f64::from(index) - 89.5).to_radians())).collect();
+        Arc::new(PolarGrid::new(directions, 0.3, 0.05, 95))
+    }
+
+    #[test]
+    fn an_echo_ahead_on_the_left_is_drawn_up_and_left() {
+        let mut energyscape = Energyscape::zeros(grid(), 0);
+        let cell = energyscape.grid.cell(120, 48); // +30.5 deg, 2.7 m: between the range rings
+        energyscape.values[cell] = 0.1;
+        let picture = render_energyscape(&energyscape);
+        let (radius_px, range_max_m) = (400.0, energyscape.grid.range_m(94));
+        let bearing_rad = 30.5_f64.to_radians();
+        let x = 436.0 - 2.7 * bearing_rad.sin() * radius_px / range_max_m;
+        let y = 436.0 - 2.7 * bearing_rad.cos() * radius_px / range_max_m;
+        let bright = |x: f64, y: f64| picture.pixel(x as i32, y as i32).map_or(0, |pixel| u32::from(pixel[0]));
+        assert!(bright(x, y) > 200, "{}", bright(x, y));
+        assert!(bright(872.0 - x, y) < 100, "the mirrored place is dark");
+    }
+}

@@ -1,0 +1,216 @@
+//! The directory of the transport's files: made private, refused when it is somebody else's, and the locks inside it.
+//!
+//! In: a path. Out: a directory that only this user can enter, or an error with exit code 73 or 77. Never deletes what
+//! it did not make.
+
+use super::error::IpcError;
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
+use std::fs::{DirBuilder, File, OpenOptions};
+use std::io::{self, Read, Seek, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+const MODE: u32 = 0o700;
+const OURS: &str = "a directory of this user with mode 0700";
+
+/// Makes `root` with mode 0700 if it is missing, and checks that nobody else can change it.
+///
+/// # Errors
+/// [`IpcError::Permission`] for a symbolic link, another owner, or a directory that others may write to;
+/// [`IpcError::CannotCreate`] where it cannot be made.
+pub(super) fn prepare(root: &Path) -> Result<(), IpcError> {
+    let refuse = |found: String| IpcError::Permission { path: root.to_owned(), found, allowed: OURS };
+    let cannot = |source: io::Error| match source.kind() {
+        io::ErrorKind::PermissionDenied => refuse("no permission".to_owned()),
+        _ => IpcError::CannotCreate { path: root.to_owned(), source },
+    };
+    if let Some(parent) = root.parent() {
+        DirBuilder::new().recursive(true).mode(MODE).create(parent).map_err(cannot)?;
+    }
+    match DirBuilder::new().mode(MODE).create(root) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(cannot(error)),
+        _ => {}
+    }
+    let metadata = std::fs::symlink_metadata(root).map_err(cannot)?;
+    if metadata.is_symlink() {
+        return Err(refuse("a symbolic link".to_owned()));
+    }
+    if !metadata.is_dir() {
+        return Err(refuse("a file".to_owned()));
+    }
+    let uid = rustix::process::geteuid().as_raw();
+    if metadata.uid() != uid {
+        return Err(refuse(format!("owner {}, not {uid}", metadata.uid())));
+    }
+    let mode = metadata.permissions().mode() & 0o777;
+    if mode & 0o022 != 0 {
+        return Err(refuse(format!("mode {mode:04o}, others can write")));
+    }
+    if mode & 0o077 != 0 {
+        // Ours and never writable by others: closing it is enough.
+        std::fs::set_permissions(root, std::fs::Permissions::from_mode(MODE)).map_err(cannot)?;
+    }
+    Ok(())
+}
+
+/// A lock that lives as long as this value; the kernel releases it when the process dies.
+#[derive(Debug)]
+pub(super) struct SetupLock {
+    _directory: File,
+}
+
+impl SetupLock {
+    /// Waits until nobody else sets up, at most `limit`. `None` when time ran out.
+    pub(super) fn acquire(root: &Path, limit: Duration) -> io::Result<Option<Self>> {
+        let directory = File::open(root)?;
+        let deadline = Instant::now() + limit;
+        loop {
+            match flock(&directory, FlockOperation::NonBlockingLockExclusive) {
+                Ok(()) => return Ok(Some(Self { _directory: directory })),
+                Err(Errno::WOULDBLOCK | Errno::INTR) if Instant::now() < deadline => {
+                    std::thread::sleep(Duration::from_millis(2));
+                }
+                Err(Errno::WOULDBLOCK | Errno::INTR) => return Ok(None),
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+}
+
+/// Makes two daemons under one root and prefix impossible.
+#[derive(Debug)]
+pub struct DaemonLock {
+    file: File,
+    path: PathBuf,
+}
+
+impl DaemonLock {
+    /// Takes the lock and writes this process's id into it.
+    ///
+    /// # Errors
+    /// [`IpcError::DaemonRunning`] naming the holder.
+    pub(super) fn acquire(root: &Path, prefix: &str) -> Result<Self, IpcError> {
+        let path = root.join(format!("{prefix}daemon.lock"));
+        let cannot = |source| IpcError::CannotCreate { path: path.clone(), source };
+        loop {
+            let mut file = OpenOptions::new()
+                .read(true)
+                .write(true)
+                .create(true)
+                .truncate(false)
+                .mode(0o600)
+                .open(&path)
+                .map_err(cannot)?;
+            match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+                Ok(()) => {}
+                Err(Errno::WOULDBLOCK) => {
+                    let mut text = String::new();
+                    let _ = file.read_to_string(&mut text);
+                    return Err(IpcError::DaemonRunning { pid: text.trim().parse().unwrap_or(0), path });
+                }
+                Err(Errno::INTR) => continue,
+                Err(error) => return Err(cannot(error.into())),
+            }
+            let mut lock = Self { file, path: path.clone() };
+            // The holder before may have removed the file between our open and our lock.
+            if !lock.is_ours() {
+                lock.path = PathBuf::new();
+                continue;
+            }
+            lock.file.set_len(0).and_then(|()| lock.file.rewind()).map_err(cannot)?;
+            writeln!(lock.file, "{}", std::process::id()).map_err(cannot)?;
+            return Ok(lock);
+        }
+    }
+
+    /// Whether the locked file is still the one that others would find.
+    #[must_use]
+    pub fn is_ours(&self) -> bool {
+        match (self.file.metadata(), std::fs::symlink_metadata(&self.path)) {
+            (Ok(held), Ok(found)) => held.ino() == found.ino() && held.dev() == found.dev(),
+            _ => false,
+        }
+    }
+}
+
+impl Drop for DaemonLock {
+    fn drop(&mut self) {
+        if self.is_ours() {
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_root_is_made_private_and_an_open_one_of_ours_is_closed() {
+        let parent = tempfile::tempdir().expect("directory");
+        let root = parent.path().join("deep/root");
+        prepare(&root).expect("made");
+        let mode = || std::fs::metadata(&root).expect("there").permissions().mode() & 0o777;
+        assert_eq!(mode(), 0o700);
+        std::fs::set_permissions(&root, std::fs::Permissions::from_mode(0o755)).expect("changed");
+        prepare(&root).expect("accepted");
+        assert_eq!(mode(), 0o700);
+    }
+
+    #[test]
+    fn links_files_and_roots_that_others_can_write_to_are_refused_with_77() {
+        let parent = tempfile::tempdir().expect("directory");
+        let target = parent.path().join("target");
+        prepare(&target).expect("made");
+        let link = parent.path().join("link");
+        std::os::unix::fs::symlink(&target, &link).expect("link");
+        let file = parent.path().join("file");
+        std::fs::write(&file, "").expect("file");
+        let open = parent.path().join("open");
+        std::fs::create_dir(&open).expect("directory");
+        std::fs::set_permissions(&open, std::fs::Permissions::from_mode(0o777)).expect("changed");
+        for root in [link, file, open] {
+            let error = prepare(&root).expect_err("refused");
+            assert_eq!(error.exit_code(), 77, "{error}");
+        }
+    }
+
+    #[test]
+    fn a_root_of_another_user_is_refused_with_77() {
+        if !rustix::process::geteuid().is_root() {
+            return; // Only root can make a directory of another user.
+        }
+        let parent = tempfile::tempdir().expect("directory");
+        let root = parent.path().join("foreign");
+        std::fs::create_dir(&root).expect("directory");
+        std::fs::set_permissions(&root, std::fs::Permissions::from_mode(0o700)).expect("changed");
+        std::os::unix::fs::chown(&root, Some(12_345), None).expect("given away");
+        let error = prepare(&root).expect_err("refused");
+        assert_eq!(error.exit_code(), 77, "{error}");
+    }
+
+    #[test]
+    fn a_second_daemon_is_told_the_first_ones_process_and_the_lock_leaves_nothing() {
+        let root = tempfile::tempdir().expect("directory");
+        let lock = DaemonLock::acquire(root.path(), "test_").expect("free");
+        match DaemonLock::acquire(root.path(), "test_") {
+            Err(IpcError::DaemonRunning { pid, .. }) => assert_eq!(pid, std::process::id()),
+            other => panic!("{other:?}"),
+        }
+        assert!(DaemonLock::acquire(root.path(), "other_").is_ok(), "another prefix is another daemon");
+        drop(lock);
+        assert_eq!(std::fs::read_dir(root.path()).expect("there").count(), 0);
+        assert!(DaemonLock::acquire(root.path(), "test_").is_ok());
+    }
+
+    #[test]
+    fn a_lock_whose_file_was_deleted_notices() {
+        let root = tempfile::tempdir().expect("directory");
+        let lock = DaemonLock::acquire(root.path(), "test_").expect("free");
+        assert!(lock.is_ours());
+        std::fs::remove_file(root.path().join("test_daemon.lock")).expect("deleted");
+        assert!(!lock.is_ours());
+    }
+}

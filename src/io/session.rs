@@ -1,0 +1,349 @@
+//! Opening of typed ports during set-up, with a ladder against what dead processes left, and the ports themselves.
+//!
+//! In: [`Topic`]s. Out: publishers that never wait and subscribers that never allocate, or an [`IpcError`]. Every service
+//! carries the schema hash of its type as an attribute; a peer with another layout is refused here.
+
+use super::error::IpcError;
+use super::node::{Ipc, Transport};
+use super::topics::{NODES_MAX, SCHEMA_ATTRIBUTE, Topic};
+use super::wire::{WireType, force_remove_service};
+use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
+use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
+use iceoryx2::port::update_connections::UpdateConnections as _;
+use iceoryx2::prelude::{
+    AllocationStrategy, AttributeVerifier, BackpressureStrategy, CallbackProgression, Config, Node, NodeState,
+    PortFactory as _, ServiceName, ZeroCopySend,
+};
+use iceoryx2::service::builder::publish_subscribe::{
+    PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
+};
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use std::fmt::Debug;
+use std::time::Duration;
+
+/// Longest wait for another process that cleans up the same dead node.
+const CLEANUP_LIMIT: Duration = Duration::from_millis(100);
+/// A service that its last user is just leaving needs a moment.
+const LEAVING_PAUSE: Duration = Duration::from_millis(50);
+
+/// A set-up in progress.
+pub(super) struct Session<'a> {
+    ipc: &'a Ipc,
+    config: &'a Config,
+    node: &'a Node<Transport>,
+}
+
+/// Whether cleaning up can help.
+enum Failure {
+    Final(IpcError),
+    Retry(IpcError),
+}
+
+/// Opens the service of a topic, or makes it with the topic's limits. The builder's type differs for slices, its calls do not.
+macro_rules! open_service {
+    ($session:expr, $topic:expr, $builder:expr) => {
+        $builder
+            .max_publishers($topic.qos.publishers_max)
+            .max_subscribers($topic.qos.subscribers_max)
+            .max_nodes(NODES_MAX)
+            .subscriber_max_buffer_size($topic.qos.buffer)
+            .subscriber_max_borrowed_samples($topic.qos.borrowed)
+            .history_size($topic.qos.history)
+            .enable_safe_overflow(true)
+            .open_or_create_with_attributes(&schema_attribute($topic).map_err(Failure::Final)?)
+            .map_err(|error| $session.service_failure($topic, error))?
+    };
+}
+
+impl<'a> Session<'a> {
+    pub(super) fn new(ipc: &'a Ipc, config: &'a Config, node: &'a Node<Transport>) -> Self {
+        Self { ipc, config, node }
+    }
+
+    /// Publisher of a topic without header. The service is made if it does not exist.
+    pub(super) fn publisher<T>(&self, topic: &Topic) -> Result<FixedPublisher<T>, IpcError>
+    where
+        T: WireType + ZeroCopySend + Debug,
+    {
+        let port = self.climb(topic, |name| {
+            let service = open_service!(self, topic, self.node.service_builder(name).publish_subscribe::<T>());
+            service
+                .publisher_builder()
+                .max_loaned_samples(1)
+                .backpressure_strategy(BackpressureStrategy::DiscardData)
+                .create()
+                .map_err(|error| publisher_failure(self.ipc, topic, &service, error))
+        })?;
+        Ok(FixedPublisher { port, service: topic.name.clone() })
+    }
+
+    /// Subscriber of a topic without header. The service is made if it does not exist.
+    pub(super) fn subscriber<T>(&self, topic: &Topic) -> Result<FixedSubscriber<T>, IpcError>
+    where
+        T: WireType + ZeroCopySend + Debug,
+    {
+        let port = self.climb(topic, |name| {
+            let service = open_service!(self, topic, self.node.service_builder(name).publish_subscribe::<T>());
+            let builder = service.subscriber_builder().buffer_size(topic.qos.buffer);
+            builder.create().map_err(|error| subscriber_failure(self.ipc, topic, error))
+        })?;
+        Ok(FixedSubscriber { port })
+    }
+
+    /// Publisher of a topic with header `H` and samples of up to `len` elements.
+    pub(super) fn slice_publisher<E, H>(&self, topic: &Topic, len: usize) -> Result<SlicePublisher<E, H>, IpcError>
+    where
+        E: ZeroCopySend + Debug + Copy + Default + 'static,
+        H: WireType + ZeroCopySend + Debug,
+    {
+        let port = self.climb(topic, |name| {
+            let builder = self.node.service_builder(name).publish_subscribe::<[E]>().user_header::<H>();
+            let service = open_service!(self, topic, builder);
+            service
+                .publisher_builder()
+                .max_loaned_samples(1)
+                .initial_max_slice_len(len)
+                .allocation_strategy(AllocationStrategy::Static)
+                .backpressure_strategy(BackpressureStrategy::DiscardData)
+                .create()
+                .map_err(|error| publisher_failure(self.ipc, topic, &service, error))
+        })?;
+        Ok(SlicePublisher { port, service: topic.name.clone() })
+    }
+
+    /// Subscriber of a topic with header `H`.
+    pub(super) fn slice_subscriber<E, H>(&self, topic: &Topic) -> Result<SliceSubscriber<E, H>, IpcError>
+    where
+        E: ZeroCopySend + Debug + Copy + Default + 'static,
+        H: WireType + ZeroCopySend + Debug,
+    {
+        let port = self.climb(topic, |name| {
+            let builder = self.node.service_builder(name).publish_subscribe::<[E]>().user_header::<H>();
+            let service = open_service!(self, topic, builder);
+            let builder = service.subscriber_builder().buffer_size(topic.qos.buffer).history_request(topic.qos.history);
+            builder.create().map_err(|error| subscriber_failure(self.ipc, topic, error))
+        })?;
+        Ok(SliceSubscriber { port })
+    }
+
+    /// The ladder: try; clean dead nodes and try; wait a moment and try; where nobody else lives, remove the service by
+    /// force and try.
+    fn climb<T>(&self, topic: &Topic, attempt: impl Fn(&ServiceName) -> Result<T, Failure>) -> Result<T, IpcError> {
+        let name = ServiceName::new(&topic.name)
+            .map_err(|error| IpcError::Internal(format!("service name {}: {error:?}", topic.name)))?;
+        for step in 0.. {
+            let error = match attempt(&name) {
+                Ok(made) => return Ok(made),
+                Err(Failure::Final(error)) => return Err(error),
+                Err(Failure::Retry(error)) => error,
+            };
+            match step {
+                0 => drop(self.node.blocking_cleanup_dead_nodes(CLEANUP_LIMIT)),
+                1 => std::thread::sleep(LEAVING_PAUSE),
+                2 if matches!(error, IpcError::Stuck { .. } | IpcError::Incompatible { .. }) && self.alone() => {
+                    force_remove_service(self.node, &name);
+                }
+                _ => return Err(error),
+            }
+        }
+        Err(self.ipc.stuck(topic.name.clone()))
+    }
+
+    /// Whether no other living process is registered under our root and prefix. What is registered by halves was left so
+    /// by a process that died: whoever sets up holds the root's lock, and we do.
+    fn alone(&self) -> bool {
+        let mut others = 0;
+        let listed = Node::<Transport>::list(self.config, |state| {
+            let alive = matches!(&state, NodeState::Alive(_) | NodeState::Inaccessible(_));
+            if alive && state.node_id() != self.node.id() {
+                others += 1;
+            }
+            CallbackProgression::Continue
+        });
+        listed.is_ok() && others == 0
+    }
+
+    fn service_failure(&self, topic: &Topic, error: PublishSubscribeOpenOrCreateError) -> Failure {
+        use PublishSubscribeOpenError as Open;
+        use PublishSubscribeOpenOrCreateError::{
+            PublishSubscribeCreateError as Created, PublishSubscribeOpenError as Opened,
+        };
+        let incompatible = || {
+            Failure::Retry(IpcError::Incompatible {
+                service: topic.name.clone(),
+                found: format!("{error:?}"),
+                expected: format!("{:016x}", topic.schema_hash()),
+            })
+        };
+        match error {
+            Opened(
+                Open::IncompatibleTypes
+                | Open::IncompatibleAttributes
+                | Open::IncompatibleMessagingPattern
+                | Open::IncompatibleOverflowBehavior
+                | Open::DoesNotSupportRequestedMinBufferSize
+                | Open::DoesNotSupportRequestedMinHistorySize
+                | Open::DoesNotSupportRequestedMinSubscriberBorrowedSamples
+                | Open::DoesNotSupportRequestedAmountOfPublishers
+                | Open::DoesNotSupportRequestedAmountOfSubscribers
+                | Open::DoesNotSupportRequestedAmountOfNodes,
+            ) => incompatible(),
+            // Another version of the transport has living users; without one the file is spoilt.
+            Opened(Open::VersionMismatch) if !self.alone() => incompatible(),
+            Opened(Open::InsufficientPermissions) | Created(PublishSubscribeCreateError::InsufficientPermissions) => {
+                Failure::Final(IpcError::Permission {
+                    path: self.ipc.root().to_owned(),
+                    found: format!("files of service {} that this user may not use", topic.name),
+                    allowed: "files of this user",
+                })
+            }
+            error => Failure::Retry(self.ipc.stuck(format!("service {} cannot be opened ({error:?})", topic.name))),
+        }
+    }
+}
+
+fn schema_attribute(topic: &Topic) -> Result<AttributeVerifier, IpcError> {
+    let invalid = |error: &dyn Debug| IpcError::Internal(format!("attribute of {}: {error:?}", topic.name));
+    let key = SCHEMA_ATTRIBUTE.try_into().map_err(|error| invalid(&error))?;
+    let value = format!("{:016x}", topic.schema_hash());
+    let value = value.as_str().try_into().map_err(|error| invalid(&error))?;
+    AttributeVerifier::new().require(&key, &value).map_err(|error| invalid(&error))
+}
+
+fn publisher_failure<P, H>(
+    ipc: &Ipc,
+    topic: &Topic,
+    service: &PortFactory<Transport, P, H>,
+    error: PublisherCreateError,
+) -> Failure
+where
+    P: Debug + iceoryx2::prelude::IceoryxSend + ?Sized + 'static,
+    H: Debug + ZeroCopySend,
+{
+    match error {
+        PublisherCreateError::ExceedsMaxSupportedPublishers if topic.qos.publishers_max == 1 => {
+            let mut holders = Vec::new();
+            service.dynamic_config().list_publishers(|publisher| {
+                holders.extend(publisher.node_id.pid::<Transport>().map(|pid| pid.value()).ok());
+                CallbackProgression::Continue
+            });
+            Failure::Retry(if holders.iter().any(|&pid| process_exists(pid)) {
+                let holder = holders.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+                IpcError::PublisherPresent { service: topic.name.clone(), holder }
+            } else {
+                ipc.stuck(format!("service {} is held by a process that is gone", topic.name))
+            })
+        }
+        PublisherCreateError::ExceedsMaxSupportedPublishers => Failure::Retry(IpcError::Crowded {
+            service: topic.name.clone(),
+            what: "too many publishers",
+            allowed: topic.qos.publishers_max,
+        }),
+        error => Failure::Retry(ipc.stuck(format!("service {} takes no publisher ({error:?})", topic.name))),
+    }
+}
+
+/// Whether a process with this id runs, be it another user's.
+fn process_exists(pid: i32) -> bool {
+    rustix::process::Pid::from_raw(pid)
+        .is_some_and(|pid| rustix::process::test_kill_process(pid) != Err(rustix::io::Errno::SRCH))
+}
+
+fn subscriber_failure(ipc: &Ipc, topic: &Topic, error: SubscriberCreateError) -> Failure {
+    match error {
+        SubscriberCreateError::ExceedsMaxSupportedSubscribers => Failure::Retry(IpcError::Crowded {
+            service: topic.name.clone(),
+            what: "too many subscribers",
+            allowed: topic.qos.subscribers_max,
+        }),
+        error => Failure::Retry(ipc.stuck(format!("service {} takes no subscriber ({error:?})", topic.name))),
+    }
+}
+
+/// Sends samples of one type.
+#[derive(Debug)]
+pub(super) struct FixedPublisher<T: WireType + ZeroCopySend + Debug> {
+    port: Publisher<Transport, T, ()>,
+    service: String,
+}
+
+impl<T: WireType + ZeroCopySend + Debug> FixedPublisher<T> {
+    /// Sends `value` to all; never waits.
+    pub(super) fn send(&self, value: T) -> Result<(), IpcError> {
+        let sent = self.port.send_copy(value);
+        sent.map(drop).map_err(|error| IpcError::Send { service: self.service.clone(), reason: format!("{error:?}") })
+    }
+}
+
+/// Receives samples of one type.
+#[derive(Debug)]
+pub(super) struct FixedSubscriber<T: WireType + ZeroCopySend + Debug> {
+    port: Subscriber<Transport, T, ()>,
+}
+
+impl<T: WireType + ZeroCopySend + Debug> FixedSubscriber<T> {
+    /// The next sample and the transport's number of its publisher. A failing connection counts as silence: whoever
+    /// waits for a sample judges by age.
+    pub(super) fn next(&self) -> Option<(T, u128)> {
+        let sample = self.port.receive().ok()??;
+        Some((*sample.payload(), sample.header().publisher_id().value()))
+    }
+
+    /// The last of all samples that wait.
+    pub(super) fn newest(&self) -> Option<T> {
+        std::iter::from_fn(|| self.next()).last().map(|(sample, _)| sample)
+    }
+}
+
+/// Sends slices with a header.
+#[derive(Debug)]
+pub(super) struct SlicePublisher<E, H>
+where
+    E: ZeroCopySend + Debug + Copy + 'static,
+    H: WireType + ZeroCopySend + Debug,
+{
+    port: Publisher<Transport, [E], H>,
+    service: String,
+}
+
+impl<E, H> SlicePublisher<E, H>
+where
+    E: ZeroCopySend + Debug + Copy + Default + 'static,
+    H: WireType + ZeroCopySend + Debug,
+{
+    /// Writes `values` straight into shared memory and sends them; never waits.
+    pub(super) fn send(&self, header: &H, values: &[E]) -> Result<(), IpcError> {
+        let failure = |reason: String| IpcError::Send { service: self.service.clone(), reason };
+        let mut loan = self.port.loan_slice_uninit(values.len()).map_err(|error| failure(format!("{error:?}")))?;
+        *loan.user_header_mut() = *header;
+        loan.write_from_slice(values).send().map(drop).map_err(|error| failure(format!("{error:?}")))
+    }
+
+    /// Gives subscribers that came since the last sample the newest one. Sending does it, too.
+    pub(super) fn connect_latecomers(&self) -> Result<(), IpcError> {
+        let connected = self.port.update_connections();
+        connected.map_err(|error| IpcError::Send { service: self.service.clone(), reason: format!("{error:?}") })
+    }
+}
+
+/// Receives slices with a header.
+#[derive(Debug)]
+pub(super) struct SliceSubscriber<E, H>
+where
+    E: ZeroCopySend + Debug + Copy + 'static,
+    H: WireType + ZeroCopySend + Debug,
+{
+    port: Subscriber<Transport, [E], H>,
+}
+
+impl<E, H> SliceSubscriber<E, H>
+where
+    E: ZeroCopySend + Debug + Copy + 'static,
+    H: WireType + ZeroCopySend + Debug,
+{
+    /// Shows the next sample to `read`, in shared memory.
+    pub(super) fn next<R>(&self, read: impl FnOnce(&H, &[E]) -> R) -> Option<R> {
+        let sample = self.port.receive().ok()??;
+        Some(read(sample.user_header(), sample.payload()))
+    }
+}

@@ -1,0 +1,465 @@
+//! The ways that sound takes from an emitter to a sensor's microphones.
+//!
+//! Whether a path exists, what hides it and its colour are decided once, for the middle of the array; its length and
+//! spreading are exact for every microphone. The world being vertical, a path is plane but for the difference in
+//! height: its length is the hypotenuse of the plane length and that difference, also over edges and cylinders.
+//! Planes are mirror images; edges are [`super::edge`]; a cylinder spreads like geometrical optics says (Kuc and Siegel's
+//! cylinder, exact for any radius). This file makes no samples.
+
+use super::air::absorption_np_m;
+use super::directivity::{piston, view};
+use super::edge;
+use super::waveform::{NODES, Response, WaveformTable};
+use crate::geometry::{Pose2, wrap_angle_rad};
+use crate::sim::obstacles::{Circle, Corner, Obstacles, Segment, cross, segments_cross};
+use crate::sim::params::SimParams;
+use nalgebra::{Vector2, Vector3};
+use rustfft::num_complex::Complex;
+use std::f64::consts::{PI, TAU};
+
+/// No path is shorter than this: an emitter is not a point.
+const LENGTH_MIN_M: f64 = 1e-3;
+/// Wedges this close to flat are walls.
+const FLAT_RAD: f64 = 1e-3;
+
+/// A sensor where it stands in the world at the moment of emission.
+#[derive(Debug, Clone)]
+pub(super) struct Station {
+    pub(super) pose: Pose2,
+    /// Emitter: place and height.
+    pub(super) emitter_m: Vector2<f64>,
+    pub(super) emitter_height_m: f64,
+    /// Microphones: places and heights.
+    pub(super) microphones_m: Vec<(Vector2<f64>, f64)>,
+    /// Middle of the microphones.
+    pub(super) ear_m: Vector2<f64>,
+    pub(super) ear_height_m: f64,
+    /// Corners of the housing.
+    pub(super) housing_m: [Vector2<f64>; 4],
+    /// Bit k: the housing of sensor k hides nothing from this sensor (its own, or one around it).
+    pub(super) looks_through: u8,
+}
+
+impl Station {
+    pub(super) fn new(emitter: &Vector3<f64>, microphones: &[Vector3<f64>]) -> Self {
+        Self {
+            pose: Pose2::default(),
+            emitter_m: Vector2::zeros(),
+            emitter_height_m: emitter.z,
+            microphones_m: microphones.iter().map(|place| (Vector2::zeros(), place.z)).collect(),
+            ear_m: Vector2::zeros(),
+            ear_height_m: microphones.iter().map(|place| place.z).sum::<f64>() / microphones.len() as f64,
+            housing_m: [Vector2::zeros(); 4],
+            looks_through: 0,
+        }
+    }
+
+    /// Puts the sensor, with `emitter` and `microphones` in its own frame, at `pose`.
+    pub(super) fn place(&mut self, pose: Pose2, emitter: &Vector3<f64>, microphones: &[Vector3<f64>]) {
+        self.pose = pose;
+        self.emitter_m = pose.parent_from_local(emitter.xy());
+        let mut sum = Vector2::zeros();
+        for ((place, _), local) in self.microphones_m.iter_mut().zip(microphones) {
+            *place = pose.parent_from_local(local.xy());
+            sum += *place;
+        }
+        self.ear_m = sum / microphones.len() as f64;
+    }
+
+    /// Bearing of the direction from `from` to `to` off the boresight.
+    fn bearing_rad(&self, from: Vector2<f64>, to: Vector2<f64>) -> f64 {
+        let offset = to - from;
+        wrap_angle_rad(offset.y.atan2(offset.x) - self.pose.heading_rad)
+    }
+}
+
+/// What of an emission and of the air paths need to know, at the nodes of its waveform table.
+#[derive(Debug, Clone)]
+pub(super) struct Medium {
+    wave_numbers_rad_m: [f64; NODES],
+    absorptions_np_m: [f64; NODES],
+    /// Amplitude at 1 m, so that a plane at 1 m reads what the parameters say.
+    source: f64,
+}
+
+impl Medium {
+    pub(super) fn new(table: &WaveformTable, params: &SimParams, speed_of_sound_m_s: f64) -> Self {
+        let absorptions_np_m =
+            table.nodes_hz.map(|frequency_hz| params.air.map_or(0.0, |air| absorption_np_m(frequency_hz, &air)));
+        let kept: f64 =
+            absorptions_np_m.iter().zip(table.energy_share).map(|(loss, share)| share * (-2.0 * loss).exp()).sum();
+        Self {
+            wave_numbers_rad_m: table.nodes_hz.map(|frequency_hz| TAU * frequency_hz / speed_of_sound_m_s),
+            absorptions_np_m,
+            source: 2.0 * params.plane_at_1_m / kept,
+        }
+    }
+}
+
+/// Form of a path, for its length and spreading to one microphone.
+#[derive(Debug, Clone, Copy)]
+enum Shape {
+    /// Straight from an emitter or its mirror image.
+    Image(Vector2<f64>),
+    /// Over an edge.
+    Edge { at_m: Vector2<f64>, from_emitter_m: f64 },
+    /// Off a cylinder.
+    Cylinder { circle: Circle, emitter_m: Vector2<f64> },
+}
+
+/// A path that may be.
+struct Way {
+    shape: Shape,
+    /// Where it leaves to.
+    departs_m: Vector2<f64>,
+    /// Where it arrives from.
+    arrives_m: Vector2<f64>,
+    /// Bound of its amplitude apart from spreading, gains and absorption.
+    strength: f64,
+}
+
+/// A path from one emitter to one sensor.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Path {
+    shape: Shape,
+    emitter_height_m: f64,
+    /// Everything but spreading, at the middle of the array.
+    pub(super) response: Response,
+}
+
+impl Path {
+    /// Length to a microphone and amplitude by spreading there (1 at 1 m for a mirror image).
+    pub(super) fn at(&self, microphone_m: Vector2<f64>, height_m: f64) -> (f64, f64) {
+        let rise_m = height_m - self.emitter_height_m;
+        match self.shape {
+            Shape::Image(image_m) => {
+                let length_m = (microphone_m - image_m).norm().hypot(rise_m).max(LENGTH_MIN_M);
+                (length_m, 1.0 / length_m)
+            }
+            Shape::Edge { at_m, from_emitter_m } => {
+                let to_m = (microphone_m - at_m).norm().max(LENGTH_MIN_M);
+                let sum_m = from_emitter_m + to_m;
+                (sum_m.hypot(rise_m), 1.0 / (from_emitter_m * to_m * sum_m).sqrt())
+            }
+            Shape::Cylinder { circle, emitter_m } => {
+                let bounce = Bounce::new(&circle, emitter_m, microphone_m);
+                (bounce.length_m().hypot(rise_m), bounce.spreading(circle.radius_m))
+            }
+        }
+    }
+}
+
+/// The reflection point on a circle (Fermat's shortest way) between two places outside it.
+struct Bounce {
+    point_m: Vector2<f64>,
+    in_m: f64,
+    out_m: f64,
+    cos_incidence: f64,
+}
+
+impl Bounce {
+    fn new(circle: &Circle, emitter_m: Vector2<f64>, microphone_m: Vector2<f64>) -> Self {
+        let to_emitter = (emitter_m - circle.centre_m).normalize();
+        let to_microphone = (microphone_m - circle.centre_m).normalize();
+        let sum = to_emitter + to_microphone;
+        let mut angle = if sum.norm() > 1e-9 { sum.y.atan2(sum.x) } else { to_emitter.y.atan2(to_emitter.x) };
+        let mut bounce = Self::at(circle, angle, emitter_m, microphone_m);
+        // Newton on the derivative of the length; the bisector is so near that it converges in a few steps.
+        for _ in 0..6 {
+            let tangent = Vector2::new(-angle.sin(), angle.cos()) * circle.radius_m;
+            let inward = circle.centre_m - bounce.point_m;
+            let (mut slope, mut curvature) = (0.0, 0.0);
+            for (place, distance_m) in [(emitter_m, bounce.in_m), (microphone_m, bounce.out_m)] {
+                let away = (bounce.point_m - place) / distance_m;
+                let along = away.dot(&tangent);
+                slope += along;
+                curvature += (tangent.norm_squared() - along * along) / distance_m + away.dot(&inward);
+            }
+            let step = if curvature > 0.0 { slope / curvature } else { 0.0 };
+            angle -= step.clamp(-0.2, 0.2);
+            bounce = Self::at(circle, angle, emitter_m, microphone_m);
+            // The length's error is of second order in the angle's.
+            if step.abs() < 1e-7 {
+                break;
+            }
+        }
+        bounce
+    }
+
+    fn at(circle: &Circle, angle: f64, emitter_m: Vector2<f64>, microphone_m: Vector2<f64>) -> Self {
+        let normal = Vector2::new(angle.cos(), angle.sin());
+        let point_m = circle.centre_m + normal * circle.radius_m;
+        let in_m = (emitter_m - point_m).norm().max(LENGTH_MIN_M);
+        let out_m = (microphone_m - point_m).norm().max(LENGTH_MIN_M);
+        Self { point_m, in_m, out_m, cos_incidence: (emitter_m - point_m).dot(&normal) / in_m }
+    }
+
+    fn length_m(&self) -> f64 {
+        self.in_m + self.out_m
+    }
+
+    /// Amplitude: 1/s' at the surface, then the ray tube opens with its caustics at s' (upright) and rho (level),
+    /// 1/rho = 1/s' + 2/(a cos incidence). Backscattered that is sqrt(a/(a + r)) of a plane's, which a large a makes 1.
+    fn spreading(&self, radius_m: f64) -> f64 {
+        let caustic_m = 1.0 / (1.0 / self.in_m + 2.0 / (radius_m * self.cos_incidence.max(1e-3)));
+        (caustic_m / (self.in_m * self.length_m() * (caustic_m + self.out_m))).sqrt()
+    }
+}
+
+/// Finds all paths of one emission to one sensor.
+pub(super) struct Finder<'a> {
+    pub(super) obstacles: &'a Obstacles,
+    pub(super) stations: &'a [Station],
+    pub(super) params: &'a SimParams,
+    pub(super) medium: &'a Medium,
+    pub(super) length_max_m: f64,
+    pub(super) emitter: usize,
+    pub(super) receiver: usize,
+}
+
+impl Finder<'_> {
+    fn emitter_m(&self) -> Vector2<f64> {
+        self.stations[self.emitter].emitter_m
+    }
+
+    fn ear_m(&self) -> Vector2<f64> {
+        self.stations[self.receiver].ear_m
+    }
+
+    /// Appends every path to `paths`, the direct one first.
+    pub(super) fn find(&self, paths: &mut Vec<Path>) {
+        self.direct(paths);
+        for segment in &self.obstacles.segments {
+            self.plane(segment, paths);
+        }
+        for circle in &self.obstacles.circles {
+            self.cylinder(circle, paths);
+        }
+        for corner in &self.obstacles.corners {
+            self.corner(corner, paths);
+        }
+        if self.params.multipath {
+            for first in &self.obstacles.segments {
+                for second in &self.obstacles.segments {
+                    if !std::ptr::eq(first, second) && !share_an_end(first, second) {
+                        self.double(first, second, None, paths);
+                    }
+                }
+            }
+        }
+    }
+
+    fn direct(&self, paths: &mut Vec<Path>) {
+        let shape = Shape::Image(self.emitter_m());
+        let path = Path { shape, emitter_height_m: self.emitter_height_m(), response: [Complex::new(0.0, 0.0); NODES] };
+        if self.emitter == self.receiver {
+            let nearest_m = self.stations[self.receiver]
+                .microphones_m
+                .iter()
+                .map(|(place, height)| path.at(*place, *height).0)
+                .fold(f64::INFINITY, f64::min);
+            let gain = self.params.direct_amplitude * nearest_m;
+            paths.push(Path { response: [Complex::new(gain, 0.0); NODES], ..path });
+        } else {
+            let way = Way { shape, departs_m: self.ear_m(), arrives_m: self.emitter_m(), strength: 1.0 };
+            self.add(way, |_| Complex::new(1.0, 0.0), &[(self.emitter_m(), self.ear_m())], paths);
+        }
+    }
+
+    fn plane(&self, segment: &Segment, paths: &mut Vec<Path>) {
+        let Some((image_m, at_m)) = reflect(segment, self.emitter_m(), self.ear_m()) else { return };
+        let legs = [(self.emitter_m(), at_m), (at_m, self.ear_m())];
+        let way = Way { shape: Shape::Image(image_m), departs_m: at_m, arrives_m: at_m, strength: 1.0 };
+        self.add(way, |_| Complex::new(1.0, 0.0), &legs, paths);
+    }
+
+    fn cylinder(&self, circle: &Circle, paths: &mut Vec<Path>) {
+        let outside = |place: Vector2<f64>| (place - circle.centre_m).norm() > circle.radius_m;
+        if !(outside(self.emitter_m()) && outside(self.ear_m())) {
+            return;
+        }
+        let bounce = Bounce::new(circle, self.emitter_m(), self.ear_m());
+        if bounce.cos_incidence < 1e-3 {
+            return;
+        }
+        let at_m = bounce.point_m;
+        let legs = [(self.emitter_m(), at_m), (at_m, self.ear_m())];
+        let shape = Shape::Cylinder { circle: *circle, emitter_m: self.emitter_m() };
+        let way = Way { shape, departs_m: at_m, arrives_m: at_m, strength: 1.0 };
+        self.add(way, |_| Complex::new(1.0, 0.0), &legs, paths);
+    }
+
+    fn corner(&self, corner: &Corner, paths: &mut Vec<Path>) {
+        let direction = |place: Vector2<f64>| (place.y - corner.at_m.y).atan2(place.x - corner.at_m.x);
+        let from_m = (self.emitter_m() - corner.at_m).norm();
+        let to_m = (self.ear_m() - corner.at_m).norm();
+        if !(from_m > LENGTH_MIN_M && to_m > LENGTH_MIN_M && from_m + to_m < self.length_max_m) {
+            return;
+        }
+        let Some(sector) = corner.sector(direction(self.emitter_m())) else { return };
+        let Some(from_rad) = sector.angle_of(direction(self.emitter_m())) else { return };
+        let Some(to_rad) = sector.angle_of(direction(self.ear_m())) else { return };
+        if sector.opening_rad < PI - FLAT_RAD {
+            let (first, second) = (self.obstacles.segments[sector.faces.0], self.obstacles.segments[sector.faces.1]);
+            self.double(&first, &second, Some(corner.at_m), paths);
+            self.double(&second, &first, Some(corner.at_m), paths);
+        } else if sector.opening_rad > PI + FLAT_RAD {
+            let mean_m = from_m * to_m / (from_m + to_m);
+            // A sharp edge is almost silent towards some directions; a real one is rounded and thick.
+            let radius_m = self.params.edge_radius_m * (2.0 * (sector.opening_rad / PI - 1.0)).min(1.0);
+            let rounded = (mean_m * radius_m / (radius_m + 2.0 * mean_m)).sqrt();
+            let colour = |node: usize| {
+                let wave_number = self.medium.wave_numbers_rad_m[node];
+                let sharp = edge::coefficient(sector.opening_rad, from_rad, to_rad, mean_m, wave_number);
+                let size = sharp.norm();
+                if size > 1e-12 { sharp * (size.max(rounded) / size) } else { Complex::new(rounded, 0.0) }
+            };
+            let legs = [(self.emitter_m(), corner.at_m), (corner.at_m, self.ear_m())];
+            let shape = Shape::Edge { at_m: corner.at_m, from_emitter_m: from_m };
+            // No edge is stronger than half a mirror image.
+            let strength = rounded.max(0.5 / (from_m + to_m) / self.spreading(shape));
+            let way = Way { shape, departs_m: corner.at_m, arrives_m: corner.at_m, strength };
+            self.add(way, colour, &legs, paths);
+        }
+    }
+
+    /// The echo over `first`, then `second`. At a `corner` the two orders share the view: the ray passes the corner on
+    /// one side or the other, and within a Fresnel zone of it each order has its part.
+    fn double(&self, first: &Segment, second: &Segment, corner: Option<Vector2<f64>>, paths: &mut Vec<Path>) {
+        let (from_m, to_m) = (self.emitter_m(), self.ear_m());
+        let once_m = mirror(first, from_m);
+        let image_m = mirror(second, once_m);
+        let (side_m, image_side_m) = (side(second, to_m), side(second, once_m));
+        // The last leg must come off the face that the microphones see.
+        if side_m * image_side_m <= 0.0 {
+            return;
+        }
+        let second_m = to_m + (image_m - to_m) * (side_m / (side_m + image_side_m));
+        let (side_m, image_side_m) = (side(first, from_m), side(first, second_m));
+        let first_m = (side_m * image_side_m > 0.0)
+            .then(|| second_m + (once_m - second_m) * (image_side_m / (side_m + image_side_m)));
+        let (mut part, mut legs) = (1.0, [(from_m, second_m); 3]);
+        if let Some(first_m) = first_m {
+            legs = [(from_m, first_m), (first_m, second_m), (second_m, to_m)];
+        }
+        let mut inside = first_m.is_some_and(|first_m| on(first, first_m)) && on(second, second_m);
+        if let Some(corner_m) = corner {
+            let along = (image_m - to_m).normalize();
+            let miss_m = cross(along, corner_m - to_m).abs();
+            let outward = if (second.from_m - corner_m).norm() < 1e-6 { second.along } else { -second.along };
+            let signed_m = miss_m.copysign((second_m - corner_m).dot(&outward));
+            let (near_m, far_m) = ((corner_m - to_m).norm(), (corner_m - from_m).norm());
+            let fresnel_m = (PI / self.medium.wave_numbers_rad_m[NODES / 2] * near_m * far_m / (near_m + far_m)).sqrt();
+            part = 0.5 + 0.5 * (1.5 * signed_m / fresnel_m).tanh();
+            if signed_m.abs() < 2.0 * fresnel_m {
+                inside = true;
+                legs = [(from_m, corner_m), (corner_m, corner_m), (corner_m, to_m)];
+            }
+        }
+        if inside {
+            let way = Way { shape: Shape::Image(image_m), departs_m: legs[0].1, arrives_m: legs[2].0, strength: part };
+            self.add(way, |_| Complex::new(part, 0.0), &legs, paths);
+        }
+    }
+
+    /// Adds a way of the given colour along `legs`, unless it is too long, too weak or hidden.
+    fn add(
+        &self,
+        way: Way,
+        colour: impl Fn(usize) -> Complex<f64>,
+        legs: &[(Vector2<f64>, Vector2<f64>)],
+        paths: &mut Vec<Path>,
+    ) {
+        let (emitter, receiver) = (&self.stations[self.emitter], &self.stations[self.receiver]);
+        let mut path = Path {
+            shape: way.shape,
+            emitter_height_m: self.emitter_height_m(),
+            response: [Complex::new(0.0, 0.0); NODES],
+        };
+        let (length_m, spreading) = path.at(receiver.ear_m, receiver.ear_height_m);
+        if length_m >= self.length_max_m {
+            return;
+        }
+        let SimParams { view_full_rad: full, view_zero_rad: zero, .. } = *self.params;
+        let sent_rad = emitter.bearing_rad(emitter.emitter_m, way.departs_m);
+        let heard_rad = receiver.bearing_rad(receiver.ear_m, way.arrives_m);
+        let gain = self.medium.source * view(sent_rad, full, zero) * view(heard_rad, full, zero);
+        if gain * way.strength * spreading < self.params.weakest_amplitude {
+            return;
+        }
+        for (node, response) in path.response.iter_mut().enumerate() {
+            let sent = piston(self.params.emitter_radius_m, self.medium.wave_numbers_rad_m[node], sent_rad);
+            *response = colour(node) * (gain * sent * (-self.medium.absorptions_np_m[node] * length_m).exp());
+        }
+        let strongest = path.response.iter().map(|value| value.norm()).fold(0.0, f64::max);
+        if strongest * spreading < self.params.weakest_amplitude || self.hidden(legs) {
+            return;
+        }
+        paths.push(path);
+    }
+
+    /// Whether anything stands in the way of the legs.
+    fn hidden(&self, legs: &[(Vector2<f64>, Vector2<f64>)]) -> bool {
+        if !self.params.occlusion {
+            return false;
+        }
+        let last = legs.len() - 1;
+        legs.iter().enumerate().any(|(index, &(from_m, to_m))| {
+            let mut looks_through = 0;
+            if index == 0 {
+                looks_through |= self.stations[self.emitter].looks_through;
+            }
+            if index == last {
+                looks_through |= self.stations[self.receiver].looks_through;
+            }
+            self.obstacles.block(from_m, to_m) || self.housing_blocks(from_m, to_m, looks_through)
+        })
+    }
+
+    fn housing_blocks(&self, from_m: Vector2<f64>, to_m: Vector2<f64>, looks_through: u8) -> bool {
+        self.stations.iter().enumerate().any(|(sensor, station)| {
+            let corners = &station.housing_m;
+            looks_through & (1 << sensor) == 0
+                && (0..4).any(|index| segments_cross(from_m, to_m, corners[index], corners[(index + 1) % 4]))
+        })
+    }
+
+    fn emitter_height_m(&self) -> f64 {
+        self.stations[self.emitter].emitter_height_m
+    }
+
+    fn spreading(&self, shape: Shape) -> f64 {
+        let path = Path { shape, emitter_height_m: self.emitter_height_m(), response: [Complex::new(0.0, 0.0); NODES] };
+        path.at(self.ear_m(), self.stations[self.receiver].ear_height_m).1
+    }
+}
+
+/// Distance of `place` from a segment's line, positive on its left.
+fn side(segment: &Segment, place: Vector2<f64>) -> f64 {
+    cross(segment.along, place - segment.from_m)
+}
+
+fn mirror(segment: &Segment, place: Vector2<f64>) -> Vector2<f64> {
+    place - Vector2::new(-segment.along.y, segment.along.x) * (2.0 * side(segment, place))
+}
+
+/// Whether a point of the segment's line lies on the segment.
+fn on(segment: &Segment, place: Vector2<f64>) -> bool {
+    let along_m = segment.along.dot(&(place - segment.from_m));
+    along_m >= 0.0 && along_m < segment.length_m
+}
+
+fn share_an_end(first: &Segment, second: &Segment) -> bool {
+    [first.from_m, first.to_m].iter().any(|end| *end == second.from_m || *end == second.to_m)
+}
+
+/// Mirror image of `from_m` and reflection point for a microphone at `to_m`, if both see the same face of the segment.
+fn reflect(segment: &Segment, from_m: Vector2<f64>, to_m: Vector2<f64>) -> Option<(Vector2<f64>, Vector2<f64>)> {
+    let (from_side_m, to_side_m) = (side(segment, from_m), side(segment, to_m));
+    if from_side_m * to_side_m <= 0.0 {
+        return None;
+    }
+    let image_m = mirror(segment, from_m);
+    let at_m = to_m + (image_m - to_m) * (to_side_m / (to_side_m + from_side_m));
+    on(segment, at_m).then_some((image_m, at_m))
+}

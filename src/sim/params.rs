@@ -1,0 +1,173 @@
+//! What can be set about the simulation: the acoustics, the robot, and what a simulator refuses at start.
+//!
+//! Amplitudes are in units of full scale at the microphone. This file computes nothing.
+
+use crate::parameter::{ParameterError, check_positive, check_range};
+
+/// Acoustics and behaviour of the simulation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SimParams {
+    /// What a perfect plane at 1 m, on the emitter's axis, reads after a matched filter.
+    pub plane_at_1_m: f64,
+    /// Amplitude of a sensor's own direct path at its nearest microphone.
+    pub direct_amplitude: f64,
+    /// Standard deviation of each microphone's white noise.
+    pub noise_rms: f64,
+    /// Radius of the emitter, taken as a piston in a baffle.
+    pub emitter_radius_m: f64,
+    /// Real edges are rounded: an edge's echo is never weaker than that of a cylinder of this radius.
+    pub edge_radius_m: f64,
+    /// Bearing up to which emitter and microphones hear undiminished by their housing.
+    pub view_full_rad: f64,
+    /// Bearing beyond which they hear nothing; in between the gain falls smoothly.
+    pub view_zero_rad: f64,
+    /// The air; without it nothing is absorbed.
+    pub air: Option<Air>,
+    /// Whether sensors hear each other's emissions.
+    pub cross_talk: bool,
+    /// Whether objects and housings hide what is behind them.
+    pub occlusion: bool,
+    /// Whether echoes over two walls that do not meet in a corner are made too.
+    pub multipath: bool,
+    /// Echoes whose amplitude stays below this are left out.
+    pub weakest_amplitude: f64,
+    /// Relative standard deviation of the two wheels' diameters as odometry takes them; 0 = perfect odometry.
+    pub odometry_drift: f64,
+    /// Whether guidance starts again at the first waypoint after the last (for demonstrations).
+    pub repeat_waypoints: bool,
+}
+
+/// State of the air, for its absorption.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Air {
+    /// Temperature.
+    pub temperature_c: f64,
+    /// Relative humidity.
+    pub humidity_percent: f64,
+    /// Pressure.
+    pub pressure_kpa: f64,
+}
+
+impl Default for Air {
+    fn default() -> Self {
+        Self { temperature_c: 20.0, humidity_percent: 50.0, pressure_kpa: 101.325 }
+    }
+}
+
+impl Default for SimParams {
+    fn default() -> Self {
+        Self {
+            plane_at_1_m: 0.1,
+            direct_amplitude: 0.7,
+            noise_rms: 1e-3,
+            emitter_radius_m: 2e-3,
+            edge_radius_m: 2e-3,
+            view_full_rad: 80f64.to_radians(),
+            view_zero_rad: 100f64.to_radians(),
+            air: Some(Air::default()),
+            cross_talk: true,
+            occlusion: true,
+            multipath: false,
+            weakest_amplitude: 3e-6,
+            odometry_drift: 0.0,
+            repeat_waypoints: false,
+        }
+    }
+}
+
+impl SimParams {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// The first value that is not allowed.
+    pub fn validate(&self) -> Result<(), ParameterError> {
+        check_range("plane_at_1_m", self.plane_at_1_m, 0.0, 10.0)?;
+        check_range("direct_amplitude", self.direct_amplitude, 0.0, 10.0)?;
+        check_range("noise_rms", self.noise_rms, 0.0, 1.0)?;
+        check_range("emitter_radius_m", self.emitter_radius_m, 0.0, 0.05)?;
+        check_range("edge_radius_m", self.edge_radius_m, 0.0, 0.1)?;
+        check_range("view_full_rad", self.view_full_rad, 0.0, std::f64::consts::PI)?;
+        check_range("view_zero_rad", self.view_zero_rad, self.view_full_rad, std::f64::consts::PI)?;
+        if let Some(air) = self.air {
+            check_range("air.temperature_c", air.temperature_c, -40.0, 60.0)?;
+            check_range("air.humidity_percent", air.humidity_percent, 1.0, 100.0)?;
+            check_range("air.pressure_kpa", air.pressure_kpa, 20.0, 120.0)?;
+        }
+        check_range("weakest_amplitude", self.weakest_amplitude, 0.0, 1.0)?;
+        check_range("odometry_drift", self.odometry_drift, 0.0, 0.5)
+    }
+}
+
+/// What the platform can do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MotionLimits {
+    /// Highest forward or backward speed.
+    pub max_linear_m_s: f64,
+    /// Highest turn rate.
+    pub max_angular_rad_s: f64,
+    /// Highest rate of change of the speed.
+    pub max_linear_accel_m_s2: f64,
+    /// Highest rate of change of the turn rate.
+    pub max_angular_accel_rad_s2: f64,
+}
+
+impl Default for MotionLimits {
+    fn default() -> Self {
+        Self { max_linear_m_s: 0.3, max_angular_rad_s: 1.0, max_linear_accel_m_s2: 1.0, max_angular_accel_rad_s2: 3.0 }
+    }
+}
+
+/// The robot's body: a disc around its centre of rotation, driven by two wheels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RobotParams {
+    /// Radius of the disc.
+    pub radius_m: f64,
+    /// What it can do.
+    pub limits: MotionLimits,
+}
+
+impl Default for RobotParams {
+    fn default() -> Self {
+        Self { radius_m: 0.2, limits: MotionLimits::default() }
+    }
+}
+
+impl RobotParams {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// The first value that is not allowed.
+    pub fn validate(&self) -> Result<(), ParameterError> {
+        check_positive("radius_m", self.radius_m, 10.0)?;
+        check_positive("max_linear_m_s", self.limits.max_linear_m_s, 20.0)?;
+        check_positive("max_angular_rad_s", self.limits.max_angular_rad_s, 20.0)?;
+        check_positive("max_linear_accel_m_s2", self.limits.max_linear_accel_m_s2, 100.0)?;
+        check_positive("max_angular_accel_rad_s2", self.limits.max_angular_accel_rad_s2, 100.0)
+    }
+}
+
+/// Why a simulator cannot start.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SimError {
+    /// A value of the world, the robot or the simulation.
+    #[error(transparent)]
+    Parameter(#[from] ParameterError),
+    /// The sensors and the recording do not fit each other or the simulator.
+    #[error("sensor {sensor}: {what}: found {found}, allowed: {allowed}")]
+    Sensor {
+        /// Name of the sensor.
+        sensor: String,
+        /// What does not fit.
+        what: &'static str,
+        /// The value found.
+        found: String,
+        /// What is allowed.
+        allowed: String,
+    },
+    /// No place in the start zone is free.
+    #[error("the start zone leaves no room for the robot: {tries} random places all touch something")]
+    NoRoomAtStart {
+        /// How many places were tried.
+        tries: usize,
+    },
+}
