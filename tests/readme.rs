@@ -1,0 +1,96 @@
+//! Contract: what the README says of layouts, errors, commands and files is what the program does. Generated parts are
+//! written by `NOCTULE_BLESS=1 cargo test --release --test readme`.
+
+use noctule::config::Config;
+use noctule::io::topics::Topic;
+use noctule::io::wire::WireType;
+use noctule::io::wire::message::{
+    EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput,
+};
+use noctule::io::wire::telemetry::{Cues, Health, PlatformVelocity};
+use noctule::signal::SampleFormat;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn readme() -> String {
+    std::fs::read_to_string(root().join("README.md")).expect("README.md")
+}
+
+/// The part of the README between two markers, or with `NOCTULE_BLESS=1` the new text put there.
+fn held(name: &str, expected: &str) {
+    let page = readme();
+    let begin = page.find(&format!("<!-- {name}: begin")).expect("begin marker");
+    let start = begin + page[begin..].find("-->").expect("marker ends") + "-->\n".len();
+    let end = start + page[start..].find(&format!("<!-- {name}: end -->")).expect("end marker");
+    if std::env::var_os("NOCTULE_BLESS").is_some() {
+        let page = format!("{}{expected}{}", &page[..start], &page[end..]);
+        std::fs::write(root().join("README.md"), page).expect("README.md is written");
+        return;
+    }
+    assert_eq!(&page[start..end], expected, "the README's part {name} is old: NOCTULE_BLESS=1 writes it anew");
+}
+
+fn table<T: WireType>(page: &mut String) {
+    let _ = writeln!(
+        page,
+        "\n**{}** ({} bytes)\n\n| offset | type | field | meaning |\n|---|---|---|---|",
+        T::TYPE_NAME,
+        size_of::<T>()
+    );
+    for field in T::FIELDS {
+        let name = field.primitive.name();
+        let kind = if field.count == 1 { name.to_owned() } else { format!("{name}[{}]", field.count) };
+        let _ = writeln!(page, "| {} | {kind} | `{}` | {} |", field.offset, field.name, field.doc);
+    }
+}
+
+#[test]
+fn the_layouts_on_the_page_are_those_of_the_types() {
+    let mut page = String::from("| service | payload | header | from, to |\n|---|---|---|---|\n");
+    let sensors = vec!["<name>".to_owned()];
+    let formats = [SampleFormat::Pdm, SampleFormat::PcmI16, SampleFormat::PcmF32];
+    let mut topics: Vec<Topic> = formats.iter().map(|format| Topic::raw("<name>", *format)).collect();
+    topics.extend(Topic::all(&sensors, SampleFormat::Pdm).into_iter().skip(1));
+    for topic in topics {
+        let payload = match topic.payload.slice {
+            true => format!("[{}]", topic.payload.type_name),
+            false => topic.payload.type_name.to_owned(),
+        };
+        let header = topic.header.map_or("", |header| header.type_name);
+        let _ = writeln!(page, "| `{}` | {payload} | {header} | {} |", topic.name, topic.route);
+    }
+    table::<RawHeader>(&mut page);
+    table::<EnergyscapeHeader>(&mut page);
+    table::<VelocityCommand>(&mut page);
+    table::<PlatformVelocity>(&mut page);
+    table::<VelocityInput>(&mut page);
+    table::<OperatorRequest>(&mut page);
+    table::<Odometry>(&mut page);
+    table::<Cues>(&mut page);
+    table::<Health>(&mut page);
+    held("topics", &page);
+}
+
+#[test]
+fn the_example_of_an_error_is_a_real_one() {
+    let text = "[control.collision_avoidance]\nthreshhold = 0.02\n";
+    let error = Config::parse(text, Path::new("robot.toml")).expect_err("a misspelt key");
+    held("error", &format!("```text\n{error}\n```\n"));
+}
+
+#[test]
+fn every_file_that_the_page_names_is_there() {
+    let page = readme();
+    for target in page.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
+        if !target.starts_with("http") {
+            assert!(root().join(target).exists(), "the README links {target}");
+        }
+    }
+    for test in page.split("--test ").skip(1).filter_map(|rest| rest.split(['`', ' ', '\n', ')']).next()) {
+        assert!(root().join(format!("tests/{test}.rs")).is_file(), "the README names the test {test}");
+    }
+}
