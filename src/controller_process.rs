@@ -56,20 +56,30 @@ impl ControllerParams {
     }
 }
 
+/// A flag that SIGTERM and SIGINT set; a second signal ends the process at once.
+///
+/// # Errors
+/// When the system refuses to watch for signals.
+pub fn stop_flag() -> std::io::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
+        signal_hook::flag::register_conditional_shutdown(signal, EXIT_SECOND_SIGNAL, Arc::clone(&stop))?;
+        signal_hook::flag::register(signal, Arc::clone(&stop))?;
+    }
+    Ok(stop)
+}
+
 /// Runs until SIGTERM or SIGINT and returns the exit code; says on the log why it did not start. A second signal ends the
 /// process at once.
 #[must_use]
 pub fn serve(config: &Config, arm: bool) -> u8 {
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
-        let second =
-            signal_hook::flag::register_conditional_shutdown(signal, EXIT_SECOND_SIGNAL, Arc::clone(&stop)).map(drop);
-        let first = second.and_then(|()| signal_hook::flag::register(signal, Arc::clone(&stop)).map(drop));
-        if let Err(error) = first {
+    let stop = match stop_flag() {
+        Ok(stop) => stop,
+        Err(error) => {
             log::error!("cannot watch for signals: {error}");
             return 70;
         }
-    }
+    };
     match run(&ControllerParams::from_config(config), arm, &stop) {
         Ok(()) => 0,
         Err(error) => {

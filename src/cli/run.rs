@@ -18,8 +18,6 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-/// Exit code when a second signal ends the process at once.
-const EXIT_SECOND_SIGNAL: i32 = 130;
 /// Longest wait for the effect of an operator's request.
 const REQUEST_LIMIT: Duration = Duration::from_secs(3);
 
@@ -41,13 +39,8 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
 /// # Errors
 /// Exit 70 when signals cannot be watched.
 pub fn stop_flag() -> Result<Arc<AtomicBool>, Failure> {
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
-        signal_hook::flag::register_conditional_shutdown(signal, EXIT_SECOND_SIGNAL, Arc::clone(&stop))
-            .and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)))
-            .map_err(|error| Failure::new(exit::INTERNAL, format!("cannot watch for signals: {error}")))?;
-    }
-    Ok(stop)
+    controller_process::stop_flag()
+        .map_err(|error| Failure::new(exit::INTERNAL, format!("cannot watch for signals: {error}")))
 }
 
 /// The default recording is that of PDM hardware. Where the configuration says nothing of it, the simulator delivers
