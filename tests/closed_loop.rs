@@ -165,7 +165,9 @@ fn a_wall_ahead_is_turned_away_from() {
 
 #[test]
 fn an_obstacle_in_a_hall_is_gone_round() {
-    reaches_goal(world("obstacle.toml"), 1);
+    for seed in 1..=2 {
+        reaches_goal(world("obstacle.toml"), seed);
+    }
 }
 
 #[test]
@@ -195,6 +197,25 @@ fn without_collision_and_obstacle_avoidance_the_robot_runs_into_the_wall() {
     config.control.stuck.enabled = false;
     let mut run = Loop::new(config, world("wall.toml"), SimParams::default(), 1, false);
     assert!(run.drive().0.collided);
+}
+
+/// Somebody walks towards the robot and stops in its way.
+const VISITOR: &str = r#"
+guidance = false
+time_limit_s = 25.0
+[[mover]]
+radius_m = 0.2
+path = [[3.5, 0.05], [1.8, 0.05]]
+speed_m_s = 0.3
+loop = "once"
+[start]
+"#;
+
+#[test]
+fn a_walker_who_stops_in_the_way_is_gone_round() {
+    let mut run = Loop::default_robot(parse(VISITOR), 1);
+    let (score, _) = run.drive();
+    assert!(!score.collided && score.longest_stuck_s <= STOP_MAX_S, "{score:?} at {:?}", run.simulator.pose());
 }
 
 #[test]

@@ -166,6 +166,25 @@ fn the_side_is_held_until_the_region_is_clear() {
     near(bench.settle(FORWARD).velocity.angular_rad_s, 0.5);
 }
 
+/// GIVEN somebody who comes nearer in the CA zone, WHEN he is too near to be heard, THEN the robot stands and turns until he is
+/// abeam; one who fell silent without having come nearer is forgotten at once (the negative control).
+#[test]
+fn what_comes_too_near_to_be_heard_is_still_there() {
+    let unheard_steps = |last_m: f64| {
+        let mut bench = Bench::new(|params| params.stuck.enabled = false);
+        for distance_m in [0.40, last_m] {
+            bench.cues.collision = cue(1.0, 0.0, 0.1, 1);
+            bench.cues.collision.nearest = bench.cues.collision.nearest.map(|n| NearestReflection { distance_m, ..n });
+            bench.step(FORWARD);
+        }
+        bench.cues.collision = LayerCue::default();
+        (0..100).take_while(|_| bench.step(FORWARD).velocity.linear_m_s <= 0.0).count()
+    };
+    // A quarter turn at 0.5 rad/s takes 31 steps.
+    assert!((31..=36).contains(&unheard_steps(0.27)), "{}", unheard_steps(0.27));
+    assert!(unheard_steps(0.35) <= 3, "{}", unheard_steps(0.35));
+}
+
 /// GIVEN counts of 2 and 3, WHEN energies come and go, THEN OA fires on the second and lets go on the third in a row.
 #[test]
 fn layers_wait_for_their_counts() {
@@ -426,6 +445,22 @@ fn a_stuck_robot_says_so_and_turns_away() {
     }
     assert!((pose.heading_rad.abs() - PI / 2.0).abs() < 0.1, "a quarter turn, not {}", pose.heading_rad);
     assert_eq!(bench.step_with(FORWARD, Some(pose)).layer, LayerName::PassThrough);
+}
+
+/// GIVEN OA that turns back what a turn wants, WHEN the robot is stuck, THEN the wanted velocity passes for a while, but under CA.
+#[test]
+fn a_robot_stuck_between_two_turns_first_does_what_is_wanted() {
+    let here = Some(Pose2::default());
+    let wanted = Velocity { linear_m_s: 0.05, angular_rad_s: 0.5 };
+    let mut bench = Bench::new(|_| {});
+    bench.cues.obstacle = cue(1.0, 0.5, 0.1, 1);
+    let first = (0..100).map(|_| bench.step_with(wanted, here)).find(|decision| decision.stuck).unwrap();
+    assert_eq!((first.layer, first.velocity.linear_m_s), (LayerName::PassThrough, 0.05));
+    bench.cues.collision = cue(1.0, 0.5, 0.1, 1);
+    assert_eq!(bench.step_with(wanted, here).layer, LayerName::CollisionAvoidance);
+    bench.cues.collision = LayerCue::default();
+    let turn = (0..100).map(|_| bench.step_with(wanted, here)).find(|decision| decision.velocity.linear_m_s == 0.0);
+    assert_eq!(turn.map(|decision| decision.layer), Some(LayerName::CollisionAvoidance), "then it turns on the spot");
 }
 
 /// GIVEN a robot that moves, or that is not asked to, WHEN time passes, THEN it is not stuck.

@@ -1,8 +1,8 @@
 //! CA: stop, turn away from the nearest reflection, back off where that is seen to be safe (paper 000, eq. 11, with |M|).
 //!
 //! Goes in: the cue of the CA region. Comes out: V = 0 and a constant turn rate, its side held until the region is clear; from
-//! the fourth ping set in a row that is above the threshold a slow reverse, within a budget of way and time. Never drives
-//! forward.
+//! the fourth ping set in a row that is above the threshold a slow reverse, within a budget of way and time. What comes so
+//! near that it is not heard any more counts as being there until the robot has turned away from it. Never drives forward.
 
 use super::layer::{BehaviourLayer, Hysteresis, LayerOutput, Situation, is_above, region_cause};
 use super::params::CollisionAvoidanceParams;
@@ -10,6 +10,10 @@ use crate::signal::{LayerCue, LayerName, Velocity};
 
 /// Way behind the footprint that must be seen and free for the next piece of reverse, besides that piece.
 const REVERSE_MARGIN_M: f64 = 0.1;
+
+/// By how much a reflection must have come nearer since the layer fired for its silence to mean that it is too near to be heard. A
+/// robot that brakes from 0.3 m/s comes 0.08 m nearer to whatever stands.
+const APPROACH_MIN_M: f64 = 0.1;
 
 /// Periods that a command may live before the next one or the age limit ends it: what the reverse budget must have left.
 const PERIODS_HELD_MAX: f64 = 3.0;
@@ -25,6 +29,11 @@ pub struct CollisionAvoidance {
     /// +1 turning left, -1 right; held while the layer is on.
     held_turn: Option<f64>,
     last_turn: Option<f64>,
+    /// Distance of the nearest reflection when the layer fired, and when it was heard last.
+    first_m: f64,
+    last_m: f64,
+    /// Turned since then; what was ahead is abeam after a quarter turn.
+    turned_unheard_rad: f64,
     /// Spent since the region was clear.
     reversed_m: f64,
     reversed_s: f64,
@@ -42,6 +51,9 @@ impl CollisionAvoidance {
             run: 0,
             held_turn: None,
             last_turn: None,
+            first_m: 0.0,
+            last_m: 0.0,
+            turned_unheard_rad: 0.0,
             reversed_m: 0.0,
             reversed_s: 0.0,
             reversing: false,
@@ -56,6 +68,23 @@ impl CollisionAvoidance {
             0 => self.last_turn.unwrap_or(1.0),
             side => -f64::from(side.signum()),
         }
+    }
+
+    /// Whether something that came nearer fell silent because it is now nearer than any sensor hears; it counts as being there
+    /// until the robot has turned away from it.
+    fn hides_too_near(&mut self, situation: &Situation, heard: bool) -> bool {
+        if heard {
+            if let Some(nearest) = situation.cues.collision.nearest {
+                self.last_m = nearest.distance_m;
+                self.first_m = if self.switch.is_on() { self.first_m } else { nearest.distance_m };
+            }
+            self.turned_unheard_rad = 0.0;
+            return false;
+        }
+        self.turned_unheard_rad += situation.last.angular_rad_s.abs() * situation.elapsed_s;
+        self.switch.is_on()
+            && self.first_m - self.last_m >= APPROACH_MIN_M
+            && self.turned_unheard_rad < std::f64::consts::FRAC_PI_2
     }
 
     /// Whether one more command to reverse stays within the budget and within what is seen behind, however long it lives.
@@ -83,7 +112,8 @@ impl BehaviourLayer for CollisionAvoidance {
             self.reversing = false;
         }
         let energy = f64::from(situation.cues.collision.energy);
-        let holds = is_above(energy, self.params.release);
+        let heard = is_above(energy, self.params.release);
+        let holds = self.hides_too_near(situation, heard) || heard;
         let was_on = self.switch.is_on();
         let on = self.switch.update(is_above(energy, self.params.threshold), holds);
         self.run = if on && holds { self.run.saturating_add(1) } else { 0 };

@@ -8,7 +8,8 @@
 //!   periods before it comes so near that it is not heard any more. To the sides a specular wall is approached slowly, so
 //!   max(R + s + 0.05, 0.40) is enough, and a doorway of 0.9 m still lies outside. Never less than R + s + 0.05.
 //! - OA: what the robot would run into if it went straight on, R + 0.10 to either side, to 1.5 m (R + 1.3 m at least).
-//! - RCF: the strips beside OA out to 1.5 m beyond R, from behind the axle to 1.5 m ahead.
+//! - RCF: the strips beside OA out to 1.5 m beyond R, from the axle to 1.5 m ahead: what lies behind the axle is being left, and
+//!   turning on until it fell silent turned the robot by some 25 deg too far.
 //! - AFF: flow lines to 2 m (R + 1.8 m at least) on either side, every 5 cm, abeam of the robot (R + 0.15 m ahead and behind):
 //!   a specular wall is heard squarely abeam, and farther ahead the lines only gather the side lobes of other echoes.
 
@@ -62,7 +63,7 @@ pub fn obstacle_avoidance(platform: &PlatformLimits) -> Vec<Shape> {
 #[must_use]
 pub fn corridor_following(platform: &PlatformLimits) -> Vec<Shape> {
     let (inner_m, outer_m) = (platform.radius_m + 0.10, platform.radius_m + 1.5);
-    let x_m = [-platform.radius_m, (platform.radius_m + 1.3).max(1.5)];
+    let x_m = [0.0, (platform.radius_m + 1.3).max(1.5)];
     vec![Shape::Rectangle { x_m, y_m: [inner_m, outer_m] }, Shape::Rectangle { x_m, y_m: [-outer_m, -inner_m] }]
 }
 
