@@ -13,6 +13,7 @@ pub mod latency;
 pub mod pipeline;
 pub mod regions;
 pub mod supervisor;
+pub mod trial;
 pub mod wiring;
 
 use crate::config::Config;

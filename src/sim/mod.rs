@@ -228,6 +228,14 @@ impl Simulator {
         self.clearance_m
     }
 
+    /// Gap between the footprint's disc and the nearest mover, after the last step; infinite without movers.
+    #[must_use]
+    pub fn mover_clearance_m(&self) -> f64 {
+        let (place_m, radius_m) = (self.robot.pose.position_m(), self.robot.params.radius_m);
+        let gap_m = |circle: &obstacles::Circle| (circle.centre_m - place_m).norm() - circle.radius_m - radius_m;
+        self.obstacles.movers().iter().map(gap_m).fold(f64::INFINITY, f64::min)
+    }
+
     /// The waypoint meant now, if there is one left.
     #[must_use]
     pub fn next_waypoint_m(&self) -> Option<[f64; 2]> {

@@ -105,6 +105,11 @@ impl Obstacles {
         Self { segments, corners, circles: pillars.chain(movers).collect(), pillar_count: world.pillars.len() }
     }
 
+    /// The movers, where they are now.
+    pub(super) fn movers(&self) -> &[Circle] {
+        &self.circles[self.pillar_count..]
+    }
+
     /// Moves the movers to where they are at `time_s`.
     pub(super) fn move_to(&mut self, world: &World, time_s: f64) {
         for (circle, mover) in self.circles[self.pillar_count..].iter_mut().zip(&world.movers) {

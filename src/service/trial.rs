@@ -1,0 +1,391 @@
+//! One simulated robot driving through one world: the daemon's pipeline, the controller's gate and the simulator, stepped
+//! with a clock of their own, faster than real time and bit-reproducible.
+//!
+//! Goes in: a robot ([`TrialRig`]), a world, and what is to go wrong ([`TrialOptions`]). Comes out: [`Trial`], the score and
+//! the track of the drive. The code that decides is the daemon's own ([`super::pipeline`], [`crate::safety::Gate`]); only
+//! shared memory and threads are left out, and a fixed latency stands for them. Reads no clock.
+
+use super::pipeline::Pipeline;
+use super::wiring::{self, SensingSetup};
+use super::{ServiceError, simulator};
+use crate::config::Config;
+use crate::flow::MaskSet;
+use crate::geometry::Pose2;
+use crate::imaging::params::Prefer;
+use crate::imaging::{Imager, ImagerOptions};
+use crate::safety::{CommandSample, DaemonEvent, Gate, GateEvent, GateParams, GateState, MotionLimits, OperatorEvent};
+use crate::signal::{Cause, Cues, DaemonState, Energyscape, LayerName, PingSet, SENSORS_MAX, Velocity};
+use crate::sim::{RunScore, SimParams, Simulator, World};
+use crate::time::Stamp;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The controller's tick.
+const TICK_NS: u64 = 20_000_000;
+/// From the last sample of a ping to the command at the controller: what `demo` measures at its slowest, rounded up.
+const PROCESSING_NS: u64 = 20_000_000;
+/// Ping sets that the self-test and arming may take.
+const START_SETS_MAX: u32 = 100;
+/// Start of the simulated clock: not zero, which would make every age of a missing stamp look small.
+const CLOCK_START_NS: u64 = 1_000_000_000_000;
+const EPOCH: u64 = 1;
+/// A mover within this distance of the footprint counts as in the way.
+const MOVER_NEAR_M: f64 = 1.0;
+/// Smallest commanded turn that counts as one when changes of sign are counted.
+const TURN_MIN_RAD_S: f64 = 0.05;
+
+/// A robot ready to be driven: configuration, sensors, plan and masks, made once and shared by all its trials.
+pub struct TrialRig {
+    config: Config,
+    setup: SensingSetup,
+    masks: MaskSet,
+}
+
+/// A sensor that falls silent: its pings no longer arrive.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SensorLoss {
+    /// Index of the sensor.
+    pub sensor_index: usize,
+    /// Simulated time from which it is lost.
+    pub at_s: f64,
+}
+
+/// What a trial may be told.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrialOptions {
+    /// Acoustics.
+    pub acoustics: SimParams,
+    /// Seed of start, noise and odometry.
+    pub seed: u64,
+    /// Backend.
+    pub prefer: Prefer,
+    /// Sensors that are lost on the way.
+    pub losses: Vec<SensorLoss>,
+}
+
+impl Default for TrialOptions {
+    fn default() -> Self {
+        Self { acoustics: SimParams::default(), seed: 1, prefer: Prefer::Cpu, losses: Vec::new() }
+    }
+}
+
+/// The drive at the time of one ping set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrackPoint {
+    /// Simulated time.
+    pub time_s: f64,
+    /// True pose in the world.
+    pub pose: Pose2,
+    /// True velocity.
+    pub velocity: Velocity,
+    /// What the world asked for.
+    pub wanted: Velocity,
+    /// What was decided.
+    pub decided: Velocity,
+    /// The layer that decided.
+    pub layer: LayerName,
+    /// Why it did.
+    pub cause: Cause,
+    /// Whether the controller counted the robot as stuck.
+    pub stuck: bool,
+    /// State of the daemon.
+    pub state: DaemonState,
+    /// State of the controller's gate.
+    pub gate: GateState,
+    /// Gap between footprint and whatever is nearest.
+    pub clearance_m: f64,
+    /// Gap between footprint and the nearest mover; infinite without one.
+    pub mover_clearance_m: f64,
+}
+
+/// How a trial went.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trial {
+    /// Seed.
+    pub seed: u64,
+    /// The simulator's score.
+    pub score: RunScore,
+    /// Longest time in one place although motion was wanted and no mover was within 1 m.
+    pub longest_stuck_unhindered_s: f64,
+    /// Changes of the turn's sign in AFF and RCF, per metre of way: a robot that weaves in a corridor has many.
+    pub turn_changes_per_m: f64,
+    /// Drive, a point a ping set.
+    pub track: Vec<TrackPoint>,
+}
+
+impl Trial {
+    /// Share of the ping sets that each layer decided, in the order of [`LayerName`]'s numbers; sums to 1 unless there were none.
+    #[must_use]
+    pub fn layer_share(&self) -> [(LayerName, f64); 6] {
+        let names = [
+            LayerName::PassThrough,
+            LayerName::CollisionAvoidance,
+            LayerName::ObstacleAvoidance,
+            LayerName::FlowFollowing,
+            LayerName::CorridorFollowing,
+            LayerName::Stopped,
+        ];
+        let count = self.track.len().max(1) as f64;
+        names.map(|name| (name, self.track.iter().filter(|point| point.layer == name).count() as f64 / count))
+    }
+}
+
+/// What is shown to a watcher after every ping set.
+pub struct Moment<'a> {
+    /// The point just added to the track.
+    pub point: &'a TrackPoint,
+    /// What the layers were given.
+    pub cues: &'a Cues,
+    /// The energyscapes, in the order of the sensors.
+    pub energyscapes: &'a [Energyscape],
+}
+
+impl TrialRig {
+    /// Plans sensors and masks. The raw data are PCM f32 unless `config.recording` was set by the caller.
+    ///
+    /// # Errors
+    /// What the configuration asks for and cannot be.
+    pub fn new(config: Config) -> Result<Self, ServiceError> {
+        let setup = wiring::sensing(&config)?;
+        let masks = wiring::masks(&config, &setup)?;
+        Ok(Self { config, setup, masks })
+    }
+
+    /// The sensors and their plan.
+    #[must_use]
+    pub fn setup(&self) -> &SensingSetup {
+        &self.setup
+    }
+
+    /// The configuration.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// The masks.
+    #[must_use]
+    pub fn masks(&self) -> &MaskSet {
+        &self.masks
+    }
+
+    /// Drives until contact, goal or time limit. `watch` sees every ping set and ends the trial early by returning false.
+    ///
+    /// # Errors
+    /// When the robot does not fit into the start zone, there is no backend, or a ping set cannot be imaged.
+    pub fn run(
+        &self,
+        world: World,
+        options: &TrialOptions,
+        watch: &mut dyn FnMut(&Moment) -> bool,
+    ) -> Result<Trial, ServiceError> {
+        let mut drive = Drive::new(self, world, options)?;
+        drive.arm(options)?;
+        while !drive.simulator.finished() && drive.step(options, watch)? {}
+        Ok(drive.finish(options.seed))
+    }
+}
+
+/// A trial under way.
+struct Drive {
+    simulator: Simulator,
+    pings: PingSet,
+    pipeline: Pipeline,
+    gate: Gate,
+    now_ns: u64,
+    period_ns: u64,
+    recording_ns: u64,
+    sequence: u64,
+    /// Commands on their way to the gate, and when they arrive.
+    under_way: VecDeque<(u64, CommandSample)>,
+    track: Vec<TrackPoint>,
+    stuck: StuckWatch,
+    turns: TurnCounter,
+}
+
+impl Drive {
+    fn new(rig: &TrialRig, world: World, options: &TrialOptions) -> Result<Self, ServiceError> {
+        let (config, setup) = (&rig.config, &rig.setup);
+        let simulator = simulator(config, setup, world, options.acoustics, options.seed)?;
+        let imager_options =
+            ImagerOptions { threads: Some(1), gpu_deadline_ms: config.safety.gpu_deadline().as_millis() as u64 };
+        let masks = rig.masks.clone();
+        let imager = Imager::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), options.prefer, imager_options)?;
+        let start = stamp(CLOCK_START_NS);
+        let platform = &config.platform;
+        let limits = MotionLimits {
+            linear_m_s: platform.max_linear_m_s,
+            angular_rad_s: platform.max_angular_rad_s,
+            linear_m_s2: platform.max_linear_accel_m_s2,
+            angular_rad_s2: platform.max_angular_accel_rad_s2,
+        };
+        // A tick is 20 ms; so is every moment of the trial a multiple of it.
+        let period_ns = (1e9 / config.control.rate_hz / TICK_NS as f64).round().max(1.0) as u64 * TICK_NS;
+        let recording_s = setup.recording.samples as f64 / setup.recording.sample_rate_hz;
+        Ok(Self {
+            pings: simulator.empty_ping_set(),
+            pipeline: Pipeline::new(config, setup.clone(), masks, imager, EPOCH, start),
+            gate: Gate::new(GateParams::new(&config.safety, limits), start),
+            now_ns: CLOCK_START_NS,
+            period_ns,
+            recording_ns: Duration::from_secs_f64(recording_s).as_nanos() as u64,
+            sequence: 0,
+            under_way: VecDeque::new(),
+            track: Vec::new(),
+            stuck: StuckWatch::new(simulator.pose()),
+            turns: TurnCounter::default(),
+            simulator,
+        })
+    }
+
+    /// Lets the daemon test itself and arms daemon and gate, before the world's time begins.
+    fn arm(&mut self, options: &TrialOptions) -> Result<(), ServiceError> {
+        self.pipeline.tell(DaemonEvent::Started, stamp(self.now_ns));
+        for _ in 0..START_SETS_MAX {
+            if self.gate.state() == GateState::Track {
+                return Ok(());
+            }
+            let ready = self.pipeline.daemon().state() == DaemonState::Ready;
+            let waits = self.gate.armed_epoch().is_none();
+            if ready || (waits && self.pipeline.daemon().state().allows_motion()) {
+                let arm = OperatorEvent::Arm { epoch: EPOCH, requested_at_ns: self.now_ns };
+                self.pipeline.tell(DaemonEvent::Operator(arm), stamp(self.now_ns));
+                self.gate = self.gate.step(GateEvent::Operator(arm), stamp(self.now_ns)).0;
+            }
+            self.period(options, Velocity::ZERO, false, &mut |_| true)?;
+        }
+        let reason = format!("the simulated robot could not be armed: {}", self.pipeline.daemon().reason());
+        Err(ServiceError::Internal(reason))
+    }
+
+    fn step(&mut self, options: &TrialOptions, watch: &mut dyn FnMut(&Moment) -> bool) -> Result<bool, ServiceError> {
+        let wanted = self.simulator.wanted_velocity();
+        self.period(options, wanted, true, watch)
+    }
+
+    /// One ping set, one command, one period of ticks; the world stands still unless it `moves`.
+    fn period(
+        &mut self,
+        options: &TrialOptions,
+        wanted: Velocity,
+        moves: bool,
+        watch: &mut dyn FnMut(&Moment) -> bool,
+    ) -> Result<bool, ServiceError> {
+        let emitted_ns = self.now_ns;
+        let time_s = self.simulator.time_s();
+        self.simulator.ping_set(stamp(emitted_ns), &mut self.pings);
+        for loss in options.losses.iter().filter(|loss| time_s >= loss.at_s && loss.sensor_index < SENSORS_MAX) {
+            self.pings.present[loss.sensor_index] = false;
+        }
+        let pose = self.simulator.odometry().pose;
+        let latency_ns = self.recording_ns + PROCESSING_NS;
+        let command_ns = emitted_ns + latency_ns.div_ceil(TICK_NS) * TICK_NS;
+        let outcome = self.pipeline.process(stamp(emitted_ns + latency_ns), &mut self.pings, wanted, Some(pose))?;
+        self.sequence += 1;
+        let command = CommandSample {
+            schema_matches: true,
+            checksum_matches: true,
+            epoch: EPOCH,
+            publisher: (1, 1),
+            sequence: self.sequence,
+            captured_at_ns: emitted_ns,
+            valid_until_ns: u64::MAX,
+            velocity: outcome.velocity,
+            daemon_state: Some(outcome.output.state),
+        };
+        self.under_way.push_back((command_ns, command));
+        let before = (self.simulator.pose(), self.simulator.velocity());
+        for _ in 0..self.period_ns / TICK_NS {
+            while let Some((_, command)) = self.under_way.front().copied().filter(|(at_ns, _)| *at_ns <= self.now_ns) {
+                self.under_way.pop_front();
+                self.gate = self.gate.step(GateEvent::Command(command), stamp(self.now_ns)).0;
+            }
+            let (gate, output) = self.gate.step(GateEvent::Tick, stamp(self.now_ns));
+            self.gate = gate;
+            self.now_ns += TICK_NS;
+            if moves {
+                self.simulator.step(output.velocity, TICK_NS as f64 * 1e-9);
+            }
+        }
+        if !moves {
+            return Ok(true);
+        }
+        let point = TrackPoint {
+            time_s,
+            pose: before.0,
+            velocity: before.1,
+            wanted,
+            decided: outcome.velocity,
+            layer: if outcome.output.state.allows_motion() { outcome.decision.layer } else { LayerName::Stopped },
+            cause: outcome.decision.cause,
+            stuck: outcome.decision.stuck,
+            state: outcome.output.state,
+            gate: self.gate.state(),
+            clearance_m: self.simulator.clearance_m(),
+            mover_clearance_m: self.simulator.mover_clearance_m(),
+        };
+        self.stuck.note(&point);
+        self.turns.note(&point);
+        self.track.push(point);
+        Ok(watch(&Moment { point: &point, cues: &outcome.cues, energyscapes: &self.pipeline.image().energyscapes }))
+    }
+
+    fn finish(self, seed: u64) -> Trial {
+        let score = self.simulator.score();
+        Trial {
+            seed,
+            longest_stuck_unhindered_s: self.stuck.longest_s,
+            turn_changes_per_m: self.turns.changes as f64 / score.path_length_m.max(1e-9),
+            score,
+            track: self.track,
+        }
+    }
+}
+
+fn stamp(boottime_ns: u64) -> Stamp {
+    Stamp { boottime_ns, wall_ns: boottime_ns }
+}
+
+/// Longest stay within 0.1 m of one place while motion was wanted and no mover was near.
+struct StuckWatch {
+    anchor: Pose2,
+    since_s: f64,
+    longest_s: f64,
+}
+
+impl StuckWatch {
+    const PROGRESS_M: f64 = 0.1;
+
+    fn new(anchor: Pose2) -> Self {
+        Self { anchor, since_s: 0.0, longest_s: 0.0 }
+    }
+
+    fn note(&mut self, point: &TrackPoint) {
+        let moved = (point.pose.position_m() - self.anchor.position_m()).norm() > Self::PROGRESS_M;
+        if moved || point.wanted == Velocity::ZERO || point.mover_clearance_m < MOVER_NEAR_M {
+            (self.anchor, self.since_s) = (point.pose, point.time_s);
+        }
+        self.longest_s = self.longest_s.max(point.time_s - self.since_s);
+    }
+}
+
+/// Counts changes of the turn's sign while walls or corridors are followed.
+#[derive(Default)]
+struct TurnCounter {
+    last_sign: f64,
+    changes: usize,
+}
+
+impl TurnCounter {
+    fn note(&mut self, point: &TrackPoint) {
+        let follows = matches!(point.layer, LayerName::FlowFollowing | LayerName::CorridorFollowing);
+        let turn_rad_s = point.decided.angular_rad_s;
+        if !follows {
+            self.last_sign = 0.0;
+        } else if turn_rad_s.abs() > TURN_MIN_RAD_S {
+            self.changes += usize::from(turn_rad_s.signum() == -self.last_sign);
+            self.last_sign = turn_rad_s.signum();
+        }
+    }
+}
