@@ -53,8 +53,15 @@ impl Bench {
 }
 
 fn cue(energy: f32, turn: f32, peak: f32, side: i8) -> LayerCue {
-    let nearest =
-        NearestReflection { sensor_index: 1, range_m: 0.5, bearing_rad: 0.3, distance_m: 0.2, energy: peak, side };
+    let nearest = NearestReflection {
+        sensor_index: 1,
+        range_m: 0.5,
+        bearing_rad: 0.3,
+        distance_m: 0.2,
+        place_m: [0.4, 0.1 * f64::from(side)],
+        energy: peak,
+        side,
+    };
     LayerCue {
         energy,
         turn,

@@ -31,12 +31,14 @@ fn any_f64() -> impl Strategy<Value = f64> {
 }
 
 fn any_region() -> impl Strategy<Value = LayerCue> {
-    let nearest = (0..5usize, any_f64(), any_f64(), any_f64(), any_f32(), -1..=1i8).prop_map(
-        |(sensor_index, range_m, bearing_rad, distance_m, energy, side)| NearestReflection {
+    let place = (any_f64(), any_f64());
+    let nearest = (0..5usize, any_f64(), any_f64(), any_f64(), any_f32(), -1..=1i8, place).prop_map(
+        |(sensor_index, range_m, bearing_rad, distance_m, energy, side, place)| NearestReflection {
             sensor_index,
             range_m,
             bearing_rad,
             distance_m,
+            place_m: place.into(),
             energy,
             side,
         },
@@ -137,6 +139,7 @@ fn run(mut inputs: Vec<Input>, spoil: impl Fn(&Input, &mut Decision)) -> Option<
 fn mirrored_region(region: &LayerCue) -> LayerCue {
     let mirrored = |nearest: NearestReflection| NearestReflection {
         bearing_rad: -nearest.bearing_rad,
+        place_m: [nearest.place_m[0], -nearest.place_m[1]],
         side: -nearest.side,
         ..nearest
     };
@@ -164,6 +167,7 @@ fn sound_cues() -> impl Strategy<Value = Cues> {
                 range_m: 0.5,
                 bearing_rad: 0.2,
                 distance_m: 0.3,
+                place_m: [0.5, if left { 0.1 } else { -0.1 }],
                 energy,
                 side: if left { 1 } else { -1 },
             };

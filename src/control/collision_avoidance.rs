@@ -4,6 +4,7 @@
 //! the fourth ping set in a row that is above the threshold a slow reverse, within a budget of way and time. What comes so
 //! near that it is not heard any more counts as being there until the robot has turned away from it. Never drives forward.
 
+use super::default_regions::DEAF_RANGE_M;
 use super::layer::{BehaviourLayer, Hysteresis, LayerOutput, Situation, is_above, region_cause};
 use super::params::CollisionAvoidanceParams;
 use crate::signal::{LayerCue, LayerName, Velocity};
@@ -32,6 +33,7 @@ pub struct CollisionAvoidance {
     /// Distance of the nearest reflection when the layer fired, and when it was heard last.
     first_m: f64,
     last_m: f64,
+    last_range_m: f64,
     /// Turned since then; what was ahead is abeam after a quarter turn.
     turned_unheard_rad: f64,
     /// Spent since the region was clear.
@@ -53,6 +55,7 @@ impl CollisionAvoidance {
             last_turn: None,
             first_m: 0.0,
             last_m: 0.0,
+            last_range_m: 0.0,
             turned_unheard_rad: 0.0,
             reversed_m: 0.0,
             reversed_s: 0.0,
@@ -75,7 +78,7 @@ impl CollisionAvoidance {
     fn hides_too_near(&mut self, situation: &Situation, heard: bool) -> bool {
         if heard {
             if let Some(nearest) = situation.cues.collision.nearest {
-                self.last_m = nearest.distance_m;
+                (self.last_m, self.last_range_m) = (nearest.distance_m, nearest.range_m);
                 self.first_m = if self.switch.is_on() { self.first_m } else { nearest.distance_m };
             }
             self.turned_unheard_rad = 0.0;
@@ -84,6 +87,7 @@ impl CollisionAvoidance {
         self.turned_unheard_rad += situation.last.angular_rad_s.abs() * situation.elapsed_s;
         self.switch.is_on()
             && self.first_m - self.last_m >= APPROACH_MIN_M
+            && self.last_range_m <= DEAF_RANGE_M + APPROACH_MIN_M
             && self.turned_unheard_rad < std::f64::consts::FRAC_PI_2
     }
 

@@ -22,7 +22,7 @@ const SILENT_FAULT_S: f64 = 0.35;
 /// Allowance for the error of a range.
 const RANGE_ERROR_M: f64 = 0.05;
 /// Range nearer than which a sensor hears only its own emission.
-const DEAF_RANGE_M: f64 = 0.30;
+pub(super) const DEAF_RANGE_M: f64 = 0.30;
 /// Farthest that a sensor of a small robot stands from the centre.
 const SENSOR_REACH_M: f64 = 0.20;
 

@@ -18,7 +18,7 @@ pub struct Situation<'a> {
 }
 
 /// Wanted speed below which the robot only turns.
-const DRIVING_MIN_M_S: f64 = 0.01;
+pub(super) const DRIVING_MIN_M_S: f64 = 0.01;
 
 impl Situation<'_> {
     /// Whether driving is wanted, not only a turn on the spot. Such a turn runs into nothing, and steering against it would

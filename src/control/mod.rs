@@ -7,6 +7,7 @@
 mod collision_avoidance;
 mod corridor_following;
 pub mod default_regions;
+mod detour;
 mod flow_following;
 mod layer;
 mod limits;
@@ -26,11 +27,14 @@ pub use platform::PlatformLimits;
 use crate::geometry::Pose2;
 use crate::signal::{Cause, Cues, Decision, LayerName, Velocity};
 use crate::time::Stamp;
-use progress::{Progress, WayOut};
+use detour::Detour;
+use progress::{Avoidance, Progress, WayOut};
 use std::time::Duration;
 
 /// Age beyond which cues are not acted on, unless [`Controller::with_max_age`] says otherwise: three periods.
 pub const MAX_AGE: Duration = Duration::from_millis(300);
+/// What is heard this near to the footprint during a detour belongs to the obstacle that is being passed.
+const DETOUR_REACH_M: f64 = 0.5;
 /// How far in the future a stamp may lie.
 const FUTURE_MAX: Duration = Duration::from_millis(50);
 
@@ -60,6 +64,9 @@ pub struct Controller {
     max_age: Duration,
     layers: Vec<Box<dyn BehaviourLayer>>,
     progress: Progress,
+    detour: Detour,
+    /// The side to which CA turned on the last ping set, +1 or -1, if it acted.
+    avoided: Option<f64>,
     last: Velocity,
     last_now: Option<Stamp>,
 }
@@ -74,6 +81,8 @@ impl Controller {
             max_age: MAX_AGE,
             layers: layers(params, platform),
             progress: Progress::new(&params.stuck),
+            detour: Detour::new(half_lane_m(params, platform), platform.radius_m),
+            avoided: None,
             last: Velocity::ZERO,
             last_now: None,
         }
@@ -107,9 +116,21 @@ impl Controller {
             return self.stop(cues);
         }
         let wanted = limits::within_platform(wanted, &self.platform);
-        self.progress.observe(odometry, self.last, wanted, elapsed_s);
+        let collision = f64::from(cues.collision.energy);
+        let is_clear = !layer::is_above(collision, self.params.collision_avoidance.release);
+        let avoidance = Avoidance { turn: self.avoided, is_clear };
+        self.progress.observe(odometry, self.last, wanted, &avoidance, elapsed_s);
+        let avoided = cues.collision.nearest.filter(|_| self.avoided.is_some());
+        let beside = cues.obstacle.nearest.filter(|nearest| {
+            self.detour.is_under_way() && nearest.distance_m <= DETOUR_REACH_M && self.obstacle_is_heard(cues)
+        });
+        let heard_m = [avoided, beside].map(|nearest| nearest.map(|nearest| nearest.place_m.into()));
+        self.detour.observe(&self.progress.pose(), heard_m, elapsed_s);
+        let wanted = self.detour.guard(&self.progress.pose(), wanted);
         let situation = Situation { cues, wanted, last: self.last, elapsed_s };
         let (layer, output) = self.ask_layers(&situation);
+        let avoids = layer == LayerName::CollisionAvoidance && !self.progress.is_stuck();
+        self.avoided = avoids.then(|| output.velocity.angular_rad_s.signum());
         let ahead_m_s = self.speed_for_way_m_s(cues.coverage.ahead_m);
         let behind_m_s = self.speed_for_way_m_s(cues.coverage.behind_m);
         let mut asked = limits::within_platform(output.velocity, &self.platform);
@@ -130,6 +151,8 @@ impl Controller {
     pub fn reset(&mut self) {
         self.layers.iter_mut().for_each(|layer| layer.reset());
         self.progress = Progress::new(&self.params.stuck);
+        self.detour = Detour::new(half_lane_m(&self.params, &self.platform), self.platform.radius_m);
+        self.avoided = None;
         (self.last, self.last_now) = (Velocity::ZERO, None);
     }
 
@@ -144,6 +167,10 @@ impl Controller {
         });
         let mut acting: Option<(LayerName, LayerOutput)> = None;
         for layer in &mut self.layers {
+            if matches!(way_out, Some(WayOut::Turn(_))) {
+                // What led here is not to go on afterwards: CA chooses its side anew.
+                layer.reset();
+            }
             let may_act = match way_out {
                 None => true,
                 Some(WayOut::LetGo) => layer.name() == LayerName::CollisionAvoidance,
@@ -195,7 +222,26 @@ impl Controller {
         before.map_or(period_s, |before| (now.since_ns(before) as f64 * 1e-9).clamp(0.0, self.max_age.as_secs_f64()))
     }
 
+    fn obstacle_is_heard(&self, cues: &Cues) -> bool {
+        layer::is_above(f64::from(cues.obstacle.peak), self.params.obstacle_avoidance.release)
+    }
+
     fn speed_for_way_m_s(&self, seen_m: f64) -> f64 {
         limits::speed_for_way_m_s(seen_m, self.params.coverage.reaction_s, &self.platform)
     }
+}
+
+/// Half width of the CA region ahead of the axle, and at least the footprint's.
+fn half_lane_m(params: &ControlParams, platform: &PlatformLimits) -> f64 {
+    const STEP_M: f64 = 0.02;
+    const REACH: i32 = 150;
+    let regions = &params.collision_avoidance.regions;
+    let touched = |across: &i32| {
+        (0..REACH).flat_map(|ahead| [1.0, -1.0].map(|side| (ahead, side))).any(|(ahead, side)| {
+            let point_m = nalgebra::Vector2::new(f64::from(ahead) * STEP_M, side * f64::from(*across) * STEP_M);
+            regions.iter().any(|region| region.contains(point_m))
+        })
+    };
+    let widest = (0..REACH).rev().find(touched).unwrap_or(0);
+    (f64::from(widest) * STEP_M).max(platform.radius_m) + STEP_M
 }

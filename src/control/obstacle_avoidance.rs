@@ -6,7 +6,7 @@
 
 use super::layer::{BehaviourLayer, Hysteresis, LayerOutput, Situation, balance_rad_s, is_above, region_cause};
 use super::params::ObstacleAvoidanceParams;
-use crate::signal::{LayerName, Velocity};
+use crate::signal::{LayerCue, LayerName, Velocity};
 
 /// The layer and its memory.
 #[derive(Debug, Clone)]
@@ -22,12 +22,15 @@ impl ObstacleAvoidance {
         Self { params: params.clone(), switch: Hysteresis::new(params.trigger_count, params.release_count) }
     }
 
-    /// Share of the wanted speed that is left, 0 to 1; 0 where the energy is no number.
-    fn speed_share(&self, energy: f64) -> f64 {
+    /// Share of the wanted speed that is left, 0 to 1; 0 where the energy is no number. One obstacle is counted by every sensor that
+    /// hears it, so E_ref is that many times as large: a layout of three sensors slows down as one of a single sensor does.
+    fn speed_share(&self, cue: &LayerCue) -> f64 {
+        let energy = f64::from(cue.energy);
+        let hearing = cue.sensors.iter().filter(|sensor| sensor.energy > 0.0).count().max(1);
         if self.params.mu == 0.0 && energy.is_finite() {
             return 1.0;
         }
-        let share = 1.0 - self.params.mu * energy / self.params.energy_reference;
+        let share = 1.0 - self.params.mu * energy / (hearing as f64 * self.params.energy_reference);
         if share > 0.0 { share.min(1.0) } else { 0.0 }
     }
 }
@@ -47,7 +50,7 @@ impl BehaviourLayer for ObstacleAvoidance {
         let away_rad_s = if situation.is_driving() { balance_rad_s(cue, self.params.lambda) } else { 0.0 };
         LayerOutput {
             velocity: Velocity {
-                linear_m_s: wanted.linear_m_s * self.speed_share(f64::from(cue.energy)),
+                linear_m_s: wanted.linear_m_s * self.speed_share(cue),
                 angular_rad_s: wanted.angular_rad_s - away_rad_s,
             },
             cause: region_cause(cue, cue.peak, self.params.threshold),

@@ -15,6 +15,10 @@ use std::f64::consts::PI;
 const ASKED_MIN_M_S: f64 = 0.01;
 /// Slowest wanted turn that does.
 const ASKED_MIN_RAD_S: f64 = 0.05;
+/// Silent ping sets in a row that end a turn out of a corner before its time.
+const CLEAR_COUNT_MIN: u32 = 3;
+/// What collision avoidance may turn before it counts as stuck: what was ahead is then well abeam.
+const AVOIDING_MAX_RAD: f64 = 1.9;
 /// What counts as progress while nothing but turning is asked for.
 const TURNED_MIN_RAD: f64 = 0.5;
 
@@ -37,6 +41,15 @@ pub(super) enum WayOut {
     Turn(f64),
 }
 
+/// What collision avoidance did on the last ping set, and hears on this one.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Avoidance {
+    /// +1 or -1: the side it turned to; `None` if it did not act.
+    pub(super) turn: Option<f64>,
+    /// Whether its region is silent.
+    pub(super) is_clear: bool,
+}
+
 /// Watches the robot's progress.
 #[derive(Debug, Clone)]
 pub(super) struct Progress {
@@ -53,6 +66,13 @@ pub(super) struct Progress {
     escape_count: u32,
     turn_count: u32,
     last_turn: f64,
+    /// The side to which CA turned on the last ping set, if it acted; how often it began to since the last progress, and to which
+    /// side.
+    avoided: Option<f64>,
+    avoidance_count: u32,
+    avoidance_turn: f64,
+    /// Ping sets in a row in which the CA region was silent during an escape.
+    clear_count: u32,
 }
 
 impl Progress {
@@ -68,23 +88,46 @@ impl Progress {
             escape_count: 0,
             turn_count: 0,
             last_turn: 1.0,
+            avoided: None,
+            avoidance_count: 0,
+            avoidance_turn: 1.0,
+            clear_count: 0,
         }
     }
 
-    /// Takes note of one ping set: what was commanded since the last one, and what is asked for now.
-    pub(super) fn observe(&mut self, odometry: Option<Pose2>, last: Velocity, wanted: Velocity, elapsed_s: f64) {
+    /// Takes note of one ping set: what was commanded since the last one, what is asked for now, and what CA did and hears.
+    ///
+    /// The first time that CA turns the robot away from something counts as progress, up to [`AVOIDING_MAX_RAD`].
+    pub(super) fn observe(
+        &mut self,
+        odometry: Option<Pose2>,
+        last: Velocity,
+        wanted: Velocity,
+        avoidance: &Avoidance,
+        elapsed_s: f64,
+    ) {
         let heading_rad = self.pose.heading_rad;
         self.advance(odometry, last, elapsed_s);
+        let turned_rad = wrap_angle_rad(self.pose.heading_rad - self.anchor.heading_rad).abs();
+        let begins = avoidance.turn.is_some() && self.avoided.is_none();
+        self.avoided = avoidance.turn;
         if let Some(Escape::Turn { turn, left_rad }) = &mut self.escape {
             *left_rad -= *turn * wrap_angle_rad(self.pose.heading_rad - heading_rad);
-            if !(*left_rad > 0.0) {
+            self.clear_count = if avoidance.is_clear { self.clear_count.saturating_add(1) } else { 0 };
+            let silent = self.avoidance_count > 0 && self.clear_count >= CLEAR_COUNT_MIN;
+            let found = silent && turned_rad >= TURNED_MIN_RAD;
+            if found || !(*left_rad > 0.0) {
                 self.escape = None;
                 self.restart();
             }
             return;
         }
+        if begins {
+            self.avoidance_count = self.avoidance_count.saturating_add(1);
+        }
+        self.avoidance_turn = avoidance.turn.unwrap_or(self.avoidance_turn);
+        let turns_away = self.avoidance_count == 1 && avoidance.turn.is_some() && turned_rad < AVOIDING_MAX_RAD;
         let moved_m = (self.pose.position_m() - self.anchor.position_m()).norm();
-        let turned_rad = wrap_angle_rad(self.pose.heading_rad - self.anchor.heading_rad).abs();
         let driving = wanted.linear_m_s.abs() >= ASKED_MIN_M_S;
         self.driving_asked |= driving;
         let nothing_asked = !driving && !(wanted.angular_rad_s.abs() >= ASKED_MIN_RAD_S);
@@ -94,7 +137,7 @@ impl Progress {
         } else if moved_m >= self.params.distance_m {
             self.restart();
             (self.escape_count, self.turn_count) = (0, 0);
-        } else {
+        } else if !turns_away {
             self.since_progress_s += elapsed_s;
         }
         if let Some(Escape::LetGo { left_s }) = &mut self.escape {
@@ -103,6 +146,11 @@ impl Progress {
                 self.escape = None;
             }
         }
+    }
+
+    /// Where the robot is: odometry, or the commands added up.
+    pub(super) fn pose(&self) -> Pose2 {
+        self.pose
     }
 
     /// Whether the robot is stuck or on its way out.
@@ -118,13 +166,20 @@ impl Progress {
             None => {}
         }
         self.escape_count = self.escape_count.saturating_add(1);
-        if self.escape_count == 1 && wanted.angular_rad_s.abs() >= ASKED_MIN_RAD_S {
+        // Where CA itself holds the robot there is nothing to let go of.
+        if self.escape_count == 1 && self.avoidance_count == 0 && wanted.angular_rad_s.abs() >= ASKED_MIN_RAD_S {
             self.escape = Some(Escape::LetGo { left_s: LET_GO_S });
             return WayOut::LetGo;
         }
-        let turn = if self.turn_count == 0 { preferred } else { -self.last_turn };
+        let turn = match (self.turn_count, self.avoidance_count) {
+            (0, 0 | 1) => preferred,
+            // Away from the nearest reflection did not help, however often.
+            (0, _) => -self.avoidance_turn,
+            _ => -self.last_turn,
+        };
         let first_rad = self.params.escape_turn_deg.to_radians();
         let left_rad = (first_rad * (1.0 + 0.5 * f64::from(self.turn_count.min(4)))).min(PI);
+        self.clear_count = 0;
         (self.escape, self.last_turn) = (Some(Escape::Turn { turn, left_rad }), turn);
         self.turn_count = self.turn_count.saturating_add(1);
         WayOut::Turn(turn)
@@ -153,6 +208,7 @@ impl Progress {
     fn restart(&mut self) {
         self.anchor = self.pose;
         self.since_progress_s = 0.0;
+        self.avoidance_count = 0;
         self.driving_asked = false;
     }
 }

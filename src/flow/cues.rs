@@ -5,12 +5,13 @@
 //!
 //! The array's side lobes are some 10 dB down, so a pillar beside the way paints the way itself at its own range, and a wall
 //! behind the robot would hold CA for ever. What is much weaker than the loudest echo at its range is therefore no
-//! echo. But something weak may hide there: where that happens in the CA region the way counts as unseen but for
-//! [`MASKED_AHEAD_M`], so the robot creeps on until the ranges part. A sum that is not finite makes every region's energy
+//! echo. But something weak may hide there: where that happens in the CA region's part of the way, for every sensor that looks there,
+//! the way counts as seen up to there only (and [`MASKED_AHEAD_M`] at least, so that the robot creeps on until the ranges part). A sum that is not finite makes every region's energy
 //! infinite and the way unseen: a broken image is an obstacle, never free space. Allocates nothing, decides nothing.
 
-use super::mask::{self, FLOW_LINES_MAX, MaskSet, RINGS_MAX};
+use super::mask::{self, FLOW_LINES_MAX, MaskSet, RINGS_MAX, WayPoint};
 use super::peaks;
+use super::region;
 use crate::signal::{
     CoverageCue, Cues, LayerCue, LayerName, MaskPurpose, MaskRow, NO_CELL, NearestReflection, RowSums, SENSORS_MAX,
     WallPeaks,
@@ -20,12 +21,13 @@ use crate::time::Stamp;
 /// `[sensor][ring]`: the largest E.
 type Loudest = [[f32; RINGS_MAX]; SENSORS_MAX];
 
-/// Way ahead that is trusted while the CA region lies under side lobes: within it a robot stops that creeps at 0.15 m/s. What hides
+/// Way ahead that is trusted where all of it lies under side lobes: within it a robot stops that creeps at 0.15 m/s. What hides
 /// under the lobes of a wall comes out from under them a ring before it is too near to be heard, and that is more.
 const MASKED_AHEAD_M: f64 = 0.06;
 
-/// Distances to the footprint that differ by less than this count as equal: what rounding leaves of a mirrored scene.
-const EQUAL_DISTANCE_M: f64 = 1e-6;
+/// Distances to the footprint that differ by less than this count as equal: the range resolution, c / (2 bandwidth), is 7 mm.
+/// A wall squarely ahead is as near on the left as on the right, and then the wanted turn decides.
+const EQUAL_DISTANCE_M: f64 = 0.01;
 
 impl MaskSet {
     /// Fuses the sums of one ping set. `sums` has one entry a row of [`MaskSet::table`]; sensors that were not imaged are
@@ -37,10 +39,11 @@ impl MaskSet {
         let used = std::array::from_fn(|index| imaged[index] && index < self.sensor_count());
         let mut cues = Cues { emitted_at, sequence, sensors_used: used, ..Cues::default() };
         let mut flows = [0.0f64; FLOW_LINES_MAX];
-        let (mut behind, mut masked) = (0.0f64, 0.0f64);
+        let mut behind = 0.0f64;
+        let mut masked = [[0.0f32; RINGS_MAX]; SENSORS_MAX];
         let loudest = self.loudest_of_rings(sums, used);
         let mut broken = sums.len() != self.table.rows.len();
-        for ((row, ring), sums) in self.table.rows.iter().zip(&self.rings).zip(sums) {
+        for (index, ((row, ring), sums)) in self.table.rows.iter().zip(&self.rings).zip(sums).enumerate() {
             if !used[row.sensor_index] {
                 continue;
             }
@@ -48,7 +51,7 @@ impl MaskSet {
             match row.purpose {
                 MaskPurpose::Region(layer) => {
                     if !self.is_echo(&loudest, row, *ring, sums) {
-                        masked += if layer == LayerName::CollisionAvoidance { f64::from(sums.energy) } else { 0.0 };
+                        masked[row.sensor_index][*ring] += if self.in_way[index] { sums.energy } else { 0.0 };
                     } else if let Some(cue) = region_cue(&mut cues, layer) {
                         add(cue, row.sensor_index, sums);
                     }
@@ -84,13 +87,28 @@ impl MaskSet {
         } else {
             (self.walls(&mut flows, used), self.coverage(used))
         };
-        if !(masked <= self.collision_threshold) {
-            cues.coverage.ahead_m = cues.coverage.ahead_m.min(MASKED_AHEAD_M);
-        }
+        cues.coverage.ahead_m = cues.coverage.ahead_m.min(self.unmasked_ahead_m(&masked, used));
         if !(behind <= self.collision_threshold) {
             cues.coverage.behind_m = 0.0;
         }
         cues
+    }
+
+    /// Way from the footprint to the first place of the CA region where every sensor that looks there hears side lobes only,
+    /// loud enough to hide something; infinite where there is none. `masked` is `[sensor][ring]`, sums of E|M| over the way.
+    fn unmasked_ahead_m(&self, masked: &Loudest, used: [bool; SENSORS_MAX]) -> f64 {
+        let hides = |sensor: usize, ring: usize| {
+            let around = ring.saturating_sub(1)..(ring + 2).min(RINGS_MAX);
+            let energy: f32 = masked[sensor][around].iter().sum();
+            !(f64::from(energy) <= self.collision_threshold)
+        };
+        let masked_at = |point: &&WayPoint| {
+            let seen =
+                || (0..SENSORS_MAX).filter(|index| used[*index]).filter_map(|index| Some((index, point.rings[index]?)));
+            seen().next().is_some() && seen().all(|(sensor, ring)| hides(sensor, ring))
+        };
+        let nearest_m = self.way.iter().filter(masked_at).map(|point| point.distance_m).fold(f64::INFINITY, f64::min);
+        nearest_m.max(MASKED_AHEAD_M)
     }
 
     /// Loudest cell of every ring of every sensor.
@@ -184,6 +202,8 @@ impl MaskSet {
             range_m: self.grid.range_m(range_index),
             bearing_rad: self.grid.directions()[direction_index].azimuth_rad,
             distance_m: f64::from(self.table.distances_m[entry]),
+            place_m: region::cell_point_m(&self.grid, &self.mounts[row.sensor_index], direction_index, range_index)
+                .into(),
             energy: sums.peak,
             side: if self.table.sides[entry] >= 0.0 { 1 } else { -1 },
         })

@@ -11,13 +11,18 @@ use crate::geometry::shape::Shape;
 use crate::parameter::ParameterError;
 use crate::sensor::{Mount, SensorSetup};
 use crate::signal::{CoverageCue, LayerName, Mask, MaskPurpose, MaskRow, MaskTable, PolarGrid, SENSORS_MAX};
+use nalgebra::Vector2;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// How far behind the footprint a reverse wants nothing to be heard: beyond the range at which a sensor at the rim is deaf.
 const BEHIND_REACH_M: f64 = 0.45;
-/// Room to either side of a reversing footprint.
-const BEHIND_SIDE_M: f64 = 0.05;
+/// Room to either side of a footprint that drives straight on or back.
+const WAY_SIDE_M: f64 = 0.05;
+
+/// Farthest that a way point lies ahead, and how far they are apart: half a ring.
+const WAY_REACH_M: f64 = 5.0;
+const WAY_STEP_M: f64 = 0.025;
 
 /// Width of a ring: an echo's main lobe and the ripple of its pulse fit into one and its neighbours.
 const RING_M: f64 = 0.05;
@@ -41,11 +46,15 @@ pub struct MaskSet {
     pub(super) side_lobe_share: f64,
     /// Ring of each row of the table; 0 where it has no meaning.
     pub(super) rings: Vec<usize>,
+    /// Whether a row's cells lie where the robot drives to, within its width.
+    pub(super) in_way: Vec<bool>,
+    /// Places of the way ahead within the CA region, and which ring of which sensor sees them.
+    pub(super) way: Vec<WayPoint>,
     pub(super) lines: Vec<Line>,
     /// Indexed by the bit set of the sensors used.
     pub(super) coverage: [CoverageCue; 1 << SENSORS_MAX],
+    pub(super) mounts: Vec<Mount>,
     masks: Vec<Mask>,
-    sensor_count: usize,
 }
 
 /// A flow line and how much of it each sensor sees.
@@ -54,6 +63,15 @@ pub(super) struct Line {
     pub(super) lateral_m: f64,
     /// Seen cells of each sensor: the parts of |F_d| of eq. 14.
     pub(super) cell_counts: [u32; SENSORS_MAX],
+}
+
+/// A place in the robot's way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct WayPoint {
+    /// Distance from the footprint.
+    pub(super) distance_m: f64,
+    /// Ring in which each sensor sees it; `None` where one does not.
+    pub(super) rings: [Option<usize>; SENSORS_MAX],
 }
 
 impl MaskSet {
@@ -91,6 +109,7 @@ impl MaskSet {
         builder.add_rings();
         let view = coverage::View::new(grid, &mounts, hidden);
         let seen_by = |point_m| view.seen_by(point_m);
+        let way = way_points(&params.collision_avoidance, params.footprint_radius_m, &mounts, seen_by);
         Ok(Self {
             grid: Arc::clone(grid),
             coverage: coverage::of_all_sensor_sets(params.footprint_radius_m, params.blind_gap_m, seen_by),
@@ -98,10 +117,12 @@ impl MaskSet {
             collision_threshold: params.collision_threshold,
             side_lobe_share: params.side_lobe_share,
             rings: builder.rings,
+            in_way: builder.in_way,
+            way,
             lines,
             masks: builder.masks,
             table: Arc::new(builder.table),
-            sensor_count: mounts.len(),
+            mounts,
         })
     }
 
@@ -126,7 +147,7 @@ impl MaskSet {
     /// Number of sensors that the set was built for.
     #[must_use]
     pub fn sensor_count(&self) -> usize {
-        self.sensor_count
+        self.mounts.len()
     }
 
     /// How far ahead and behind a set of sensors sees without a gap.
@@ -157,6 +178,37 @@ pub(super) fn ring_of(range_m: f64) -> usize {
     ((range_m / RING_M) as usize).min(RINGS_MAX - 1)
 }
 
+/// Places of the way ahead in the CA region, 2.5 cm apart, and what sees them. Those that nothing sees are left out: they are the
+/// concern of the coverage.
+fn way_points(
+    shapes: &[Shape],
+    footprint_radius_m: f64,
+    mounts: &[Mount],
+    seen_by: impl Fn(Vector2<f64>) -> usize,
+) -> Vec<WayPoint> {
+    let reach = (WAY_REACH_M / WAY_STEP_M) as i64;
+    let half_count = (footprint_radius_m / WAY_STEP_M).ceil() as i64;
+    let places = (0..=reach).flat_map(|ahead| (-half_count..=half_count).map(move |across| (ahead, across)));
+    places
+        .filter_map(|(ahead, across)| {
+            let y_m = (across as f64 * WAY_STEP_M).clamp(-footprint_radius_m, footprint_radius_m);
+            let point_m = Vector2::new(ahead as f64 * WAY_STEP_M, y_m);
+            let distance_m = region::footprint_distance_m(point_m, footprint_radius_m);
+            let sensors = seen_by(point_m);
+            if distance_m <= 0.0 || sensors == 0 || !region::inside_any(shapes, point_m) {
+                return None;
+            }
+            let ring = |(index, mount): (usize, &Mount)| {
+                let seen = sensors & 1 << index != 0;
+                seen.then(|| ring_of((point_m - mount.position_m()).norm()))
+            };
+            let mut rings = [None; SENSORS_MAX];
+            rings.iter_mut().zip(mounts.iter().enumerate().map(ring)).for_each(|(slot, ring)| *slot = ring);
+            Some(WayPoint { distance_m, rings })
+        })
+        .collect()
+}
+
 /// Gathers masks and table rows, layer by layer.
 struct Builder<'a> {
     grid: &'a PolarGrid,
@@ -166,6 +218,7 @@ struct Builder<'a> {
     masks: Vec<Mask>,
     table: MaskTable,
     rings: Vec<usize>,
+    in_way: Vec<bool>,
 }
 
 impl<'a> Builder<'a> {
@@ -186,6 +239,7 @@ impl<'a> Builder<'a> {
             masks: Vec::new(),
             table,
             rings: Vec::new(),
+            in_way: Vec::new(),
         }
     }
 
@@ -198,7 +252,12 @@ impl<'a> Builder<'a> {
             for side in [1, -1] {
                 let cells = mask.values.iter().enumerate().filter(|(_, value)| **value == side);
                 for (ring, cells) in self.by_ring(cells.map(|(cell, _)| cell)) {
-                    self.push_row(MaskPurpose::Region(layer), sensor_index, ring, &cells);
+                    let in_way = |cell: &usize| self.is_in_way(layer, sensor_index, *cell);
+                    let (way, aside): (Vec<usize>, Vec<usize>) = cells.into_iter().partition(in_way);
+                    self.push_row(MaskPurpose::Region(layer), sensor_index, ring, &aside);
+                    let row_count = self.table.rows.len();
+                    self.push_row(MaskPurpose::Region(layer), sensor_index, ring, &way);
+                    self.in_way[row_count..].fill(true);
                 }
             }
             self.masks.push(mask);
@@ -206,11 +265,17 @@ impl<'a> Builder<'a> {
         if self.table.cells.len() == first_entry { Err(empty_mask(layer)) } else { Ok(()) }
     }
 
+    /// Whether a cell of the CA region lies where the robot drives to. Other regions are not cut.
+    fn is_in_way(&self, layer: LayerName, sensor_index: usize, cell: usize) -> bool {
+        let half_width_m = self.footprint_radius_m + WAY_SIDE_M;
+        layer == LayerName::CollisionAvoidance && self.point_m(sensor_index, cell).y.abs() <= half_width_m
+    }
+
     fn add_behind(&mut self) {
         let radius_m = self.footprint_radius_m;
         let strip = Shape::Rectangle {
             x_m: [-radius_m - BEHIND_REACH_M, 0.0],
-            y_m: [-radius_m - BEHIND_SIDE_M, radius_m + BEHIND_SIDE_M],
+            y_m: [-radius_m - WAY_SIDE_M, radius_m + WAY_SIDE_M],
         };
         for sensor_index in 0..self.mounts.len() {
             let inside = |point_m| i8::from(strip.contains(point_m));
@@ -286,7 +351,7 @@ impl<'a> Builder<'a> {
     }
 
     /// The mask whose seen cells have the value that `value_at` gives their points.
-    fn mask(&self, layer: LayerName, sensor_index: usize, value_at: impl Fn(nalgebra::Vector2<f64>) -> i8) -> Mask {
+    fn mask(&self, layer: LayerName, sensor_index: usize, value_at: impl Fn(Vector2<f64>) -> i8) -> Mask {
         let mut values = vec![0; self.grid.cell_count()];
         for (cell, value) in values.iter_mut().enumerate() {
             let (direction_index, _) = self.grid.direction_and_range(cell);
@@ -297,7 +362,7 @@ impl<'a> Builder<'a> {
         Mask { layer, sensor_index, values }
     }
 
-    fn point_m(&self, sensor_index: usize, cell: usize) -> nalgebra::Vector2<f64> {
+    fn point_m(&self, sensor_index: usize, cell: usize) -> Vector2<f64> {
         let (direction_index, range_index) = self.grid.direction_and_range(cell);
         region::cell_point_m(self.grid, &self.mounts[sensor_index], direction_index, range_index)
     }
@@ -314,6 +379,7 @@ impl<'a> Builder<'a> {
             self.table.distances_m.push(region::footprint_distance_m(point_m, self.footprint_radius_m) as f32);
         }
         self.rings.push(ring);
+        self.in_way.push(false);
         self.table.rows.push(MaskRow { purpose, sensor_index, first, count: cells.len() });
     }
 }

@@ -28,6 +28,8 @@ pub struct NearestReflection {
     pub bearing_rad: f64,
     /// Distance from the robot's footprint.
     pub distance_m: f64,
+    /// Place in the robot frame, x and y.
+    pub place_m: [f64; 2],
     /// Largest energy E of the cells it was found among; its own is at least half of that.
     pub energy: f32,
     /// +1 left of the robot's x axis, -1 right, 0 when left and right are equally near.

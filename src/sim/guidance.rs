@@ -12,8 +12,9 @@ use nalgebra::Vector2;
 const HEADING_GAIN_PER_S: f64 = 1.5;
 /// Share of the platform's highest turn rate that guidance asks for, so that avoidance has some left.
 const TURN_SHARE: f64 = 0.6;
-/// Beyond this error of heading the robot turns on the spot.
-const TURN_ON_SPOT_RAD: f64 = 1.0;
+/// Decides what is left of the speed, two fifths of it, while the waypoint lies abeam: a robot that has turned away from something must
+/// be able to drive past it. From 134 deg on it turns on the spot.
+const SIDEWAYS_SHARE: f64 = 0.7;
 /// Share of the cruising speed left for a turn of half a circle at a waypoint.
 const SLOWEST_SHARE: f64 = 0.4;
 
@@ -69,13 +70,12 @@ impl Guidance {
         let turn_max_rad_s = TURN_SHARE * limits.max_angular_rad_s;
         let angular_rad_s = (HEADING_GAIN_PER_S * error_rad).clamp(-turn_max_rad_s, turn_max_rad_s);
         let cruise_m_s = self.cruise_m_s.abs().min(limits.max_linear_m_s);
-        let heading_share =
-            if error_rad.abs() >= TURN_ON_SPOT_RAD { 0.0 } else { 1.0 - error_rad.abs() / TURN_ON_SPOT_RAD };
+        let heading_share = ((error_rad.cos() + SIDEWAYS_SHARE) / (1.0 + SIDEWAYS_SHARE)).max(0.0);
         let there_m_s = cruise_m_s * self.speed_share_at(target_m, offset / distance_m);
         // Braking at half the platform's best from here reaches the waypoint's speed on its circle of reach.
         let braking_m = (distance_m - self.reach_m).max(0.0);
         let approach_m_s = (there_m_s * there_m_s + limits.max_linear_accel_m_s2 * braking_m).sqrt();
-        Velocity { linear_m_s: cruise_m_s.min(approach_m_s) * heading_share.sqrt(), angular_rad_s }
+        Velocity { linear_m_s: cruise_m_s.min(approach_m_s) * heading_share, angular_rad_s }
     }
 
     /// How much of the cruising speed the turn at `target_m` allows, coming along `direction`.
