@@ -61,6 +61,7 @@ fn cue(energy: f32, turn: f32, peak: f32, side: i8) -> LayerCue {
         place_m: [0.4, 0.1 * f64::from(side)],
         energy: peak,
         side,
+        lead_m: f64::INFINITY,
     };
     LayerCue {
         energy,
@@ -177,19 +178,21 @@ fn the_side_is_held_until_the_region_is_clear() {
 /// abeam; one who fell silent without having come nearer is forgotten at once (the negative control).
 #[test]
 fn what_comes_too_near_to_be_heard_is_still_there() {
-    let unheard_steps = |last_m: f64| {
+    let unheard_steps = |last_m: f64, range_m: f64| {
         let mut bench = Bench::new(|params| params.stuck.enabled = false);
         for distance_m in [0.40, last_m] {
             bench.cues.collision = cue(1.0, 0.0, 0.1, 1);
-            bench.cues.collision.nearest = bench.cues.collision.nearest.map(|n| NearestReflection { distance_m, ..n });
+            bench.cues.collision.nearest =
+                bench.cues.collision.nearest.map(|n| NearestReflection { distance_m, range_m, ..n });
             bench.step(FORWARD);
         }
         bench.cues.collision = LayerCue::default();
         (0..100).take_while(|_| bench.step(FORWARD).velocity.linear_m_s <= 0.0).count()
     };
     // A quarter turn at 0.5 rad/s takes 31 steps.
-    assert!((31..=36).contains(&unheard_steps(0.27)), "{}", unheard_steps(0.27));
-    assert!(unheard_steps(0.35) <= 3, "{}", unheard_steps(0.35));
+    assert!((31..=36).contains(&unheard_steps(0.27, 0.35)), "{}", unheard_steps(0.27, 0.35));
+    assert!(unheard_steps(0.35, 0.35) <= 3, "{}", unheard_steps(0.35, 0.35));
+    assert!(unheard_steps(0.27, 0.6) <= 3, "heard far from where the sensors are deaf");
 }
 
 /// GIVEN counts of 2 and 3, WHEN energies come and go, THEN OA fires on the second and lets go on the third in a row.

@@ -41,6 +41,7 @@ fn any_region() -> impl Strategy<Value = LayerCue> {
             place_m: place.into(),
             energy,
             side,
+            lead_m: f64::INFINITY,
         },
     );
     (any_f32(), any_f32(), any_f32(), prop::option::of(nearest)).prop_map(|(energy, turn, peak, nearest)| LayerCue {
@@ -170,6 +171,7 @@ fn sound_cues() -> impl Strategy<Value = Cues> {
                 place_m: [0.5, if left { 0.1 } else { -0.1 }],
                 energy,
                 side: if left { 1 } else { -1 },
+                lead_m: f64::INFINITY,
             };
             let nearest = (energy > 0.0).then_some(nearest);
             LayerCue { energy, turn: turn * energy, peak: 0.1 * energy, sensors: Default::default(), nearest }

@@ -9,6 +9,9 @@ use super::layer::{BehaviourLayer, Hysteresis, LayerOutput, Situation, is_above,
 use super::params::CollisionAvoidanceParams;
 use crate::signal::{LayerCue, LayerName, Velocity};
 
+/// Nearer by less than this, with a turn asked for, counts as equally near.
+const RANGE_RESOLUTION_M: f64 = 0.01;
+
 /// Way behind the footprint that must be seen and free for the next piece of reverse, besides that piece.
 const REVERSE_MARGIN_M: f64 = 0.1;
 
@@ -65,9 +68,11 @@ impl CollisionAvoidance {
 
     /// +1 to turn left, -1 right: away from the nearest reflection; with none, or left and right equally near, the way that
     /// the wanted velocity turns, else the way turned last, else left.
-    fn choose_turn(&self, cue: &LayerCue, wanted: Velocity) -> f64 {
-        match cue.nearest.map_or(0, |nearest| nearest.side) {
-            0 if wanted.angular_rad_s != 0.0 => wanted.angular_rad_s.signum(),
+    fn choose_turn(&self, cue: &LayerCue, asked_rad_s: f64) -> f64 {
+        // What leads by less than the range resolution, c / (2 bandwidth) = 7 mm and the axis' error, is no nearer: a wall ahead need not be square.
+        let nearly_tied = asked_rad_s != 0.0 && cue.nearest.is_some_and(|nearest| nearest.lead_m <= RANGE_RESOLUTION_M);
+        match cue.nearest.map_or(0, |nearest| if nearly_tied { 0 } else { nearest.side }) {
+            0 if asked_rad_s != 0.0 => asked_rad_s.signum(),
             0 => self.last_turn.unwrap_or(1.0),
             side => -f64::from(side.signum()),
         }
@@ -122,7 +127,7 @@ impl BehaviourLayer for CollisionAvoidance {
         let on = self.switch.update(is_above(energy, self.params.threshold), holds);
         self.run = if on && holds { self.run.saturating_add(1) } else { 0 };
         if on && !was_on {
-            self.held_turn = Some(self.choose_turn(&situation.cues.collision, situation.wanted));
+            self.held_turn = Some(self.choose_turn(&situation.cues.collision, situation.asked_rad_s));
             self.last_turn = self.held_turn;
         } else if !on {
             self.held_turn = None;

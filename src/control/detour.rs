@@ -7,6 +7,7 @@
 //! box for ever. Places are kept for a few metres and seconds only, since odometry drifts and people walk on. Never turns or
 //! speeds up the robot by itself.
 
+use super::default_regions::DEAF_RANGE_M;
 use super::layer::DRIVING_MIN_M_S;
 use crate::geometry::Pose2;
 use crate::signal::Velocity;
@@ -39,6 +40,9 @@ struct Place {
 pub(super) struct Detour {
     /// Half the width that the robot keeps free of a place beside its way.
     half_lane_m: f64,
+    radius_m: f64,
+    /// From here on a sensor at the rim hears what is ahead.
+    heard_from_m: f64,
     kept_m: f64,
     places: [Option<Place>; PLACES_MAX],
     last: Option<Vector2<f64>>,
@@ -47,7 +51,14 @@ pub(super) struct Detour {
 impl Detour {
     /// Nothing avoided yet. `half_lane_m` is the CA region's half width: what passes farther off does not fire it.
     pub(super) fn new(half_lane_m: f64, radius_m: f64) -> Self {
-        Self { half_lane_m, kept_m: 2.0 * radius_m + KEPT_M, places: [None; PLACES_MAX], last: None }
+        Self {
+            half_lane_m,
+            radius_m,
+            heard_from_m: radius_m + DEAF_RANGE_M + SAME_PLACE_M,
+            kept_m: 2.0 * radius_m + KEPT_M,
+            places: [None; PLACES_MAX],
+            last: None,
+        }
     }
 
     /// Whether something that was avoided is not passed yet.
@@ -67,6 +78,16 @@ impl Detour {
         }
         for heard_m in heard_m.into_iter().flatten().filter(|point_m| point_m.x.is_finite() && point_m.y.is_finite()) {
             self.keep(pose.parent_from_local(heard_m));
+        }
+    }
+
+    /// Forgets places squarely ahead, where nothing is heard: whoever stood there has gone.
+    pub(super) fn forget_ahead(&mut self, pose: &Pose2) {
+        for slot in &mut self.places {
+            *slot = slot.filter(|place| {
+                let point_m = pose.local_from_parent(place.point_m);
+                point_m.x < self.heard_from_m || point_m.y.abs() > self.radius_m
+            });
         }
     }
 
@@ -153,6 +174,18 @@ mod tests {
             detour.observe(&at(-0.2 * f64::from(step), 0.0, 0.0), [None; 2], 0.1);
         }
         assert_eq!(detour.guard(&pose, TURN_RIGHT), TURN_RIGHT, "2 m were driven");
+    }
+
+    #[test]
+    fn whoever_has_gone_from_ahead_is_forgotten_and_what_is_abeam_or_too_near_is_not() {
+        let walker = |x_m: f64, y_m: f64| {
+            let mut detour = Detour::new(0.4, 0.2);
+            detour.observe(&at(0.0, 0.0, 0.0), [Some(Vector2::new(x_m, y_m)), None], 0.1);
+            detour.forget_ahead(&at(0.0, 0.0, 0.0));
+            detour.is_under_way()
+        };
+        assert!(!walker(0.7, 0.1));
+        assert!(walker(0.7, 0.3) && walker(0.5, 0.0) && walker(-0.7, 0.0));
     }
 
     #[test]

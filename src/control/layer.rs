@@ -9,8 +9,10 @@ use crate::signal::{Cause, Cues, LayerCue, LayerName, Velocity};
 pub struct Situation<'a> {
     /// What the sensors hear.
     pub cues: &'a Cues,
-    /// The wanted velocity (V_i, omega_i), finite and within the platform's limits.
+    /// The wanted velocity (V_i, omega_i), finite and within the platform's limits, without turns back to what was avoided.
     pub wanted: Velocity,
+    /// omega_i as it was asked for.
+    pub asked_rad_s: f64,
     /// The velocity commanded last.
     pub last: Velocity,
     /// Time since then.

@@ -126,8 +126,12 @@ impl Controller {
         });
         let heard_m = [avoided, beside].map(|nearest| nearest.map(|nearest| nearest.place_m.into()));
         self.detour.observe(&self.progress.pose(), heard_m, elapsed_s);
+        if is_clear && self.params.obstacle_avoidance.enabled && !self.obstacle_is_heard(cues) {
+            self.detour.forget_ahead(&self.progress.pose());
+        }
+        let asked_rad_s = wanted.angular_rad_s;
         let wanted = self.detour.guard(&self.progress.pose(), wanted);
-        let situation = Situation { cues, wanted, last: self.last, elapsed_s };
+        let situation = Situation { cues, wanted, asked_rad_s, last: self.last, elapsed_s };
         let (layer, output) = self.ask_layers(&situation);
         let avoids = layer == LayerName::CollisionAvoidance && !self.progress.is_stuck();
         self.avoided = avoids.then(|| output.velocity.angular_rad_s.signum());
@@ -162,7 +166,7 @@ impl Controller {
         let way_out = self.progress.is_stuck().then(|| {
             let loud_left = situation.cues.collision.turn + situation.cues.obstacle.turn;
             // Equally loud on both sides: the way that is wanted, else left.
-            let aside = if loud_left == 0.0 { situation.wanted.angular_rad_s } else { -f64::from(loud_left) };
+            let aside = if loud_left == 0.0 { situation.asked_rad_s } else { -f64::from(loud_left) };
             self.progress.way_out(situation.wanted, if aside < 0.0 { -1.0 } else { 1.0 })
         });
         let mut acting: Option<(LayerName, LayerOutput)> = None;

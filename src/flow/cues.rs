@@ -25,9 +25,8 @@ type Loudest = [[f32; RINGS_MAX]; SENSORS_MAX];
 /// under the lobes of a wall comes out from under them a ring before it is too near to be heard, and that is more.
 const MASKED_AHEAD_M: f64 = 0.06;
 
-/// Distances to the footprint that differ by less than this count as equal: the range resolution, c / (2 bandwidth), is 7 mm.
-/// A wall squarely ahead is as near on the left as on the right, and then the wanted turn decides.
-const EQUAL_DISTANCE_M: f64 = 0.01;
+/// Distances to the footprint that differ by less than this count as equal: what rounding leaves of a mirrored scene.
+const EQUAL_DISTANCE_M: f64 = 1e-6;
 
 impl MaskSet {
     /// Fuses the sums of one ping set. `sums` has one entry a row of [`MaskSet::table`]; sensors that were not imaged are
@@ -178,19 +177,23 @@ impl MaskSet {
                 .map(|((row, _), sums)| (row, sums))
         };
         let loudest = rows().fold(0.0f32, |loudest, (_, sums)| loudest.max(sums.peak));
-        let mut best: Option<NearestReflection> = None;
+        let mut nearest: [Option<NearestReflection>; 2] = [None; 2];
         for (row, sums) in rows().filter(|(_, sums)| sums.nearest_entry != NO_CELL && sums.peak >= 0.5 * loudest) {
             let Some(found) = self.reflection(row, sums) else { continue };
-            best = Some(match best {
-                None => found,
-                Some(best) if (best.distance_m - found.distance_m).abs() <= EQUAL_DISTANCE_M => {
-                    NearestReflection { side: if best.side == found.side { best.side } else { 0 }, ..best }
-                }
-                Some(best) if found.distance_m < best.distance_m => found,
-                Some(best) => best,
-            });
+            let best = &mut nearest[usize::from(found.side < 0)];
+            if best.is_none_or(|best| found.distance_m < best.distance_m) {
+                *best = Some(found);
+            }
         }
-        best
+        match nearest {
+            [Some(left), Some(right)] => {
+                let lead_m = (left.distance_m - right.distance_m).abs();
+                let nearer = if left.distance_m <= right.distance_m { left } else { right };
+                let side = if lead_m <= EQUAL_DISTANCE_M { 0 } else { nearer.side };
+                Some(NearestReflection { side, lead_m, ..nearer })
+            }
+            [one, other] => one.or(other),
+        }
     }
 
     fn reflection(&self, row: &MaskRow, sums: &RowSums) -> Option<NearestReflection> {
@@ -206,6 +209,7 @@ impl MaskSet {
                 .into(),
             energy: sums.peak,
             side: if self.table.sides[entry] >= 0.0 { 1 } else { -1 },
+            lead_m: f64::INFINITY,
         })
     }
 }

@@ -34,6 +34,8 @@ pub struct NearestReflection {
     pub energy: f32,
     /// +1 left of the robot's x axis, -1 right, 0 when left and right are equally near.
     pub side: i8,
+    /// By how much it is nearer to the footprint than the nearest on the other side; infinite without one.
+    pub lead_m: f64,
 }
 
 /// What one region-based layer sees, fused over the sensors.
