@@ -208,7 +208,8 @@ impl Progress {
     fn restart(&mut self) {
         self.anchor = self.pose;
         self.since_progress_s = 0.0;
-        self.avoidance_count = 0;
+        // What CA has begun goes on.
+        self.avoidance_count = u32::from(self.avoided.is_some());
         self.driving_asked = false;
     }
 }
