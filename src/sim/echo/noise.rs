@@ -1,13 +1,16 @@
 //! White noise of the microphones, reproducible sample by sample whatever is computed in which order.
 //!
 //! One generator (xoshiro128++, eight interleaved lanes) a microphone and ping, keyed by seed, ping, sensor and
-//! microphone. Samples are sums of four uniform bytes, one word each: excess kurtosis -0.3, tails end at 3.4 standard
-//! deviations; any filter or beam over them is Gaussian. Whole arrays are computed on, so that the compiler makes
-//! vectors of them: noise is most of what a ping costs.
+//! microphone. A sample is the sum of four uniform bytes with signs (excess kurtosis -0.3, tails end at 3.4 standard
+//! deviations), and the four bytes of a word give four samples with the signs of a Hadamard matrix: uncorrelated, so the
+//! noise is white; any filter or beam over it is Gaussian. Noise is most of what a ping costs: whole arrays are computed
+//! on, so that the compiler makes vectors of them.
 
 const LANES: usize = 8;
-/// Mean and standard deviation of the sum of four uniform bytes.
-const BYTES_MEAN: f32 = 510.0;
+/// Samples made of a step of all lanes.
+const BLOCK: usize = 4 * LANES;
+/// Mean of two uniform bytes, and standard deviation of four.
+const PAIR_MEAN: i32 = 255;
 const BYTES_SD: f32 = 147.800_54;
 
 type Words = [u32; LANES];
@@ -43,12 +46,14 @@ impl Noise {
         }
         let scale = rms as f32 / BYTES_SD;
         let mut state = self.state;
-        let (blocks, rest) = samples.as_chunks_mut::<LANES>();
+        let (blocks, rest) = samples.as_chunks_mut::<BLOCK>();
         for block in blocks {
-            *block = amplitudes(next(&mut state), scale);
+            fill_block(block, next(&mut state), scale);
         }
         if !rest.is_empty() {
-            rest.copy_from_slice(&amplitudes(next(&mut state), scale)[..rest.len()]);
+            let mut block = [0.0; BLOCK];
+            fill_block(&mut block, next(&mut state), scale);
+            rest.copy_from_slice(&block[..rest.len()]);
         }
         self.state = state;
     }
@@ -77,14 +82,21 @@ fn next(state: &mut [Words; 4]) -> Words {
     result
 }
 
-/// The sums of each word's bytes, centred and scaled.
+/// The bytes a, b, c, d of each word as a + b + c + d, a - b + c - d, a + b - c - d and a - b - c + d, centred and scaled.
 #[inline(always)]
-fn amplitudes(words: Words, scale: f32) -> [f32; LANES] {
-    words.map(|word| {
-        let pairs = (word & 0x00FF_00FF) + ((word >> 8) & 0x00FF_00FF);
-        let sum = (pairs & 0xFFFF) + (pairs >> 16);
-        (sum.cast_signed() as f32 - BYTES_MEAN) * scale
-    })
+fn fill_block(block: &mut [f32; BLOCK], words: Words, scale: f32) {
+    // Two sums or differences of bytes a word, each in a half of it; 255 keeps the differences positive.
+    let even = words.map(|word| word & 0x00FF_00FF);
+    let odd = words.map(|word| (word >> 8) & 0x00FF_00FF);
+    let sums = zip(even, odd, u32::wrapping_add);
+    let differences = zip(even, odd, |even, odd| (even + 0x00FF_00FF).wrapping_sub(odd));
+    let (quarters, _) = block.as_chunks_mut::<LANES>();
+    for (pair, halves) in quarters.chunks_exact_mut(2).zip([sums, differences]) {
+        let low = halves.map(|half| (half & 0xFFFF).cast_signed());
+        let high = halves.map(|half| (half >> 16).cast_signed());
+        pair[0] = std::array::from_fn(|lane| (low[lane] + high[lane] - 2 * PAIR_MEAN) as f32 * scale);
+        pair[1] = std::array::from_fn(|lane| (low[lane] - high[lane]) as f32 * scale);
+    }
 }
 
 #[inline(always)]
@@ -125,8 +137,37 @@ mod tests {
         // One standard error of the mean and of a correlation is 0.5/512 and 0.25/512.
         assert!(mean.abs() < 4.0 * 0.5 / 512.0);
         assert!((moment(0) - 0.25).abs() < 4.0 * 0.36 / 512.0);
-        for lag in [1, 2, 7, 8, 9, 16, 64] {
+        for lag in (1..=40).chain([64, 96, 128]) {
             assert!(moment(lag).abs() < 4.0 * 0.25 / 512.0, "lag {lag}: {}", moment(lag));
+        }
+        // Sums of four uniform numbers: the fourth moment is 2.7 times the square of the second, and no value is far out.
+        let fourth = samples.iter().map(|value| f64::from(*value).powi(4)).sum::<f64>() / count;
+        assert!((fourth / moment(0).powi(2) - 2.7).abs() < 0.05, "{fourth}");
+        let largest = samples.iter().fold(0f32, |largest, value| largest.max(value.abs()));
+        assert!((1.5..0.5 * 3.46).contains(&largest), "{largest}");
+    }
+
+    #[test]
+    fn what_a_filter_makes_of_it_is_gaussian_and_every_length_is_filled() {
+        let mut samples = vec![0.0; 1 << 20];
+        Noise::new([5, 6, 7, 8]).fill(&mut samples, 1.0);
+        // Sums of 64 samples with signs that repeat every block, the worst case for the four samples of a word.
+        let sums: Vec<f64> = samples
+            .chunks_exact(64)
+            .map(|part| {
+                part.iter().enumerate().map(|(i, v)| if i % 3 == 0 { -f64::from(*v) } else { f64::from(*v) }).sum()
+            })
+            .collect();
+        let count = sums.len() as f64;
+        let second = sums.iter().map(|sum| sum.powi(2)).sum::<f64>() / count;
+        let fourth = sums.iter().map(|sum| sum.powi(4)).sum::<f64>() / count;
+        // One standard error is 1.1 % and 0.04.
+        assert!((second / 64.0 - 1.0).abs() < 0.05, "{second}");
+        assert!((fourth / second.powi(2) - 3.0).abs() < 0.16, "{fourth}");
+        for len in [1, 7, 31, 33, 95] {
+            let mut short = vec![f32::NAN; len];
+            Noise::new([5, 6, 7, 8]).fill(&mut short, 1.0);
+            assert_eq!(short, samples[..len]);
         }
     }
 
