@@ -119,7 +119,7 @@ impl Simulator {
             *out = self.empty_ping_set();
         }
         self.obstacles.move_to(&self.world, self.time_s);
-        self.echoes.place(&self.robot.pose);
+        self.echoes.place(&self.robot.pose, self.robot.velocity);
         out.sequence = self.ping_count;
         out.emitted_at = emitted_at;
         out.present = std::array::from_fn(|sensor| sensor < sensor_count);

@@ -40,6 +40,8 @@ pub struct SimParams {
     /// Whether echoes are made too that come over two walls which do not meet in a corner, or over a wall and something
     /// round.
     pub multipath: bool,
+    /// Whether the robot and the movers move on while the sound flies; if not, all stand still for the length of a ping.
+    pub motion: bool,
     /// Echoes whose amplitude stays below this are left out.
     pub weakest_amplitude: f64,
     /// Relative standard deviation of the two wheels' diameters as odometry takes them; 0 = perfect odometry.
@@ -120,6 +122,7 @@ impl Default for SimParams {
             jammers: [None; JAMMERS_MAX],
             occlusion: true,
             multipath: false,
+            motion: true,
             weakest_amplitude: 3e-6,
             odometry_drift: 0.0,
             repeat_waypoints: false,

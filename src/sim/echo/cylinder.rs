@@ -13,7 +13,7 @@ use nalgebra::Vector2;
 /// The reflection point on a circle (Fermat's shortest way) between two places outside it.
 pub(super) struct Bounce {
     pub(super) point_m: Vector2<f64>,
-    in_m: f64,
+    pub(super) in_m: f64,
     out_m: f64,
     pub(super) cos_incidence: f64,
 }

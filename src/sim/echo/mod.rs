@@ -3,12 +3,18 @@
 //! For every emission that a sensor hears: find the paths, compose each path's waveform, add it to every microphone at its
 //! exact delay; then noise, saturation and the recording's format. Single-threaded and keyed by seed, ping, sensor and
 //! microphone, so the bits depend on nothing else. No allocation once the buffers have grown.
+//!
+//! Robot and movers move on while the sound flies: an echo is heard where the microphone is by then (at 0.3 m/s 4.4 mm of
+//! range at 5 m, at 1 rad/s 1.7 degrees of bearing). Left out is the Doppler shift, the echo's own compression by 1 + 2 v/c: a
+//! hyperbolic sweep of T, f0, f1 then only seems later by T f1/(f0 - f1) 2 v/c, for the default one 4.4 us or 0.75 mm of range
+//! at 0.3 m/s, 2.5 mm for each metre per second of approach, at any range; the loss of amplitude is below 0.02 dB.
 
 mod air;
 mod cylinder;
 mod directivity;
 mod edge;
 mod jammer;
+mod motion;
 mod noise;
 mod path;
 mod pdm;
@@ -22,8 +28,9 @@ use crate::geometry::shape::Shape;
 use crate::parameter::check_range;
 use crate::sensor::dead_zone::{HOUSING_DEPTH_M, HOUSING_WIDTH_M};
 use crate::sensor::{RecordingFormat, SensorSetup};
-use crate::signal::{SENSORS_MAX, SampleFormat, Samples};
+use crate::signal::{SENSORS_MAX, SampleFormat, Samples, Velocity};
 use jammer::{Jamming, Listening};
+use motion::Motion;
 use nalgebra::Vector2;
 use noise::Noise;
 use path::{Finder, Medium, Path, Station};
@@ -52,6 +59,7 @@ pub(super) struct EchoMaker {
     /// In the robot's frame.
     obstructions: Vec<Shape>,
     robot: Pose2,
+    motion: Motion,
     recording: RecordingFormat,
     params: SimParams,
     speed_of_sound_m_s: f64,
@@ -92,6 +100,7 @@ impl EchoMaker {
             jammings: params.jammers.into_iter().flatten().map(ready).collect(),
             obstructions: Vec::new(),
             robot: Pose2::default(),
+            motion: Motion::default(),
             recording: *recording,
             params: *params,
             speed_of_sound_m_s,
@@ -131,9 +140,11 @@ impl EchoMaker {
         }
     }
 
-    /// Puts all sensors where the robot is.
-    pub(super) fn place(&mut self, robot: &Pose2) {
+    /// Puts all sensors where the robot is, and lets it go on at `velocity` while the sound flies.
+    pub(super) fn place(&mut self, robot: &Pose2, velocity: Velocity) {
         self.robot = *robot;
+        let velocity = if self.params.motion { velocity } else { Velocity::ZERO };
+        self.motion = Motion::new(robot, velocity, self.speed_of_sound_m_s);
         for (station, sensor) in self.stations.iter_mut().zip(&self.sensors) {
             let pose = robot.compose(&sensor.mount.pose());
             station.place(pose, &sensor.emitter_m, &sensor.array.positions_m);
@@ -196,7 +207,7 @@ impl EchoMaker {
                 self.tables[emitter].compose(&path.response, &mut self.waveform);
                 for ((place, height_m), row) in self.stations[sensor].microphones_m.iter().zip(pcm.chunks_mut(samples))
                 {
-                    let (length_m, amplitude) = path.at(*place, *height_m);
+                    let (length_m, amplitude) = self.motion.heard(path, *place, *height_m);
                     let delay_s = length_m / self.speed_of_sound_m_s + late_s;
                     self.waveform.add_to(row, delay_s * rate_hz, amplitude);
                 }

@@ -80,6 +80,7 @@ impl Station {
 pub(super) struct Medium {
     wave_numbers_rad_m: [f64; NODES],
     absorptions_np_m: [f64; NODES],
+    speed_of_sound_m_s: f64,
     /// Amplitude at 1 m, so that a plane at 1 m reads what the parameters say.
     source: f64,
 }
@@ -93,6 +94,7 @@ impl Medium {
         Self {
             wave_numbers_rad_m: table.nodes_hz.map(|frequency_hz| TAU * frequency_hz / speed_of_sound_m_s),
             absorptions_np_m,
+            speed_of_sound_m_s,
             source: 2.0 * params.plane_at_1_m / kept,
         }
     }
@@ -234,7 +236,10 @@ impl Finder<'_> {
         let Some(bounce) = self.bounce(circle, self.emitter_m(), self.ear_m()) else { return };
         let at_m = bounce.point_m;
         let legs = [(self.emitter_m(), at_m), (at_m, self.ear_m())];
-        let shape = Shape::Cylinder { circle: *circle, emitter_m: self.emitter_m() };
+        // A mover has moved on when the sound arrives there.
+        let flown_s = if self.params.motion { bounce.in_m / self.medium.speed_of_sound_m_s } else { 0.0 };
+        let centre_m = circle.centre_m + circle.velocity_m_s * flown_s;
+        let shape = Shape::Cylinder { circle: Circle { centre_m, ..*circle }, emitter_m: self.emitter_m() };
         let way = Way { shape, departs_m: at_m, arrives_m: at_m, strength: 1.0 };
         self.add(way, |_| Complex::new(1.0, 0.0), &legs, paths);
     }
@@ -255,7 +260,7 @@ impl Finder<'_> {
     fn cylinder_then_wall(&self, segment: &Segment, circle: &Circle, paths: &mut Vec<Path>) {
         let (from_m, to_m) = (self.emitter_m(), self.ear_m());
         let (image_m, centre_m) = (mirror(segment, from_m), mirror(segment, circle.centre_m));
-        let mirrored = Circle { centre_m, radius_m: circle.radius_m };
+        let mirrored = Circle { centre_m, ..*circle };
         let Some(bounce) = self.bounce(&mirrored, image_m, to_m) else { return };
         let at_m = mirror(segment, bounce.point_m);
         let Some((_, wall_m)) = reflect(segment, at_m, to_m) else { return };
