@@ -7,7 +7,7 @@
 //! Robot and movers move on while the sound flies: an echo is heard where the microphone is by then (at 0.3 m/s 4.4 mm of
 //! range at 5 m, at 1 rad/s 1.7 degrees of bearing). Left out is the Doppler shift, the echo's own compression by 1 + 2 v/c: a
 //! hyperbolic sweep of T, f0, f1 then only seems later by T f1/(f0 - f1) 2 v/c, for the default one 4.4 us or 0.75 mm of range
-//! at 0.3 m/s, 2.5 mm for each metre per second of approach, at any range; the loss of amplitude is below 0.02 dB.
+//! at 0.3 m/s, 2.5 mm for each metre per second of approach, at any range, and 0.01 dB weaker.
 
 mod air;
 mod cylinder;
