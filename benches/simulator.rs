@@ -12,11 +12,15 @@ use std::hint::black_box;
 
 fn ping_set(criterion: &mut Criterion) {
     let i16_recording = RecordingFormat { format: SampleFormat::PcmI16, ..sim_support::pcm() };
-    for (name, recording) in [("pcm_f32", sim_support::pcm()), ("pcm_i16", i16_recording), ("pdm", sim_support::pdm())]
-    {
+    for (name, recording, multipath) in [
+        ("pcm_f32", sim_support::pcm(), false),
+        ("pcm_f32_multipath", sim_support::pcm(), true),
+        ("pcm_i16", i16_recording, false),
+        ("pdm", sim_support::pdm(), false),
+    ] {
         let world = World::default_world().expect("the built-in world is valid");
         let sensors = sim_support::three_sensors();
-        let params = SimParams::default();
+        let params = SimParams { multipath, ..SimParams::default() };
         let robot = RobotParams::default();
         let mut simulator = Simulator::new(world, &sensors, &recording, robot, sim_support::SPEED_M_S, params, 1)
             .expect("the built-in world has room");

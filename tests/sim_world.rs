@@ -32,7 +32,9 @@ fn every_world_file_loads_and_leaves_room_to_start() {
         }
         names.push(path.file_stem().unwrap().to_string_lossy().into_owned());
     }
-    for name in ["default", "corridor", "wall", "obstacle", "t_junction"] {
+    let paper = ["default", "corridor", "wall", "obstacle", "t_junction"];
+    let harder = ["thin_pillars", "glass", "narrow_doors", "crossing", "warehouse", "apartment"];
+    for name in paper.into_iter().chain(harder) {
         assert!(names.iter().any(|found| found == name), "{name} of {names:?}");
     }
     let built_in = World::default_world().unwrap();
@@ -378,5 +380,51 @@ fn the_default_world_can_be_driven_round_by_guidance_alone_when_nobody_walks_abo
             simulator.step(wanted, 0.1);
         }
         assert!(simulator.goal_reached(), "{:?} at {:?}", simulator.score(), simulator.pose());
+    }
+}
+
+/// How a robot of `radius_m` fares in a world file when it follows guidance and hears nothing.
+fn driven_blindly(name: &str, radius_m: f64, with_movers: bool, seed: u64) -> noctule::sim::RunScore {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/worlds");
+    let mut world = World::load(&folder.join(name)).unwrap();
+    if !with_movers {
+        world.movers.clear();
+    }
+    let robot = RobotParams { radius_m, ..RobotParams::default() };
+    let sensors = [sensor(0.0, 0.0, 0.0)];
+    let mut simulator = Simulator::new(world, &sensors, &pcm(), robot, SPEED_M_S, SimParams::default(), seed).unwrap();
+    while !simulator.finished() {
+        let wanted = simulator.wanted_velocity();
+        simulator.step(wanted, 0.1);
+    }
+    simulator.score()
+}
+
+#[test]
+fn the_ways_of_the_harder_worlds_are_as_wide_as_they_say() {
+    for (name, radius_m, gap_m) in [
+        ("narrow_doors.toml", 0.1, 0.02),
+        ("crossing.toml", 0.2, 0.3),
+        ("warehouse.toml", 0.2, 0.2),
+        ("apartment.toml", 0.2, 0.1),
+    ] {
+        for seed in 0..10 {
+            let score = driven_blindly(name, radius_m, false, seed);
+            assert!(score.reached_goal && score.min_clearance_m > gap_m, "{name}: {score:?}");
+        }
+    }
+    // Control: the doors are narrow, a robot 5 cm wider on either side does not pass.
+    assert!(driven_blindly("narrow_doors.toml", 0.15, false, 1).collided);
+}
+
+#[test]
+fn who_hears_nothing_runs_into_thin_pillars_panes_and_people() {
+    for (name, radius_m) in
+        [("thin_pillars.toml", 0.1), ("glass.toml", 0.1), ("crossing.toml", 0.1), ("crossing.toml", 0.2)]
+    {
+        for seed in 0..10 {
+            let score = driven_blindly(name, radius_m, true, seed);
+            assert!(score.collided && !score.reached_goal, "{name}, seed {seed}: {score:?}");
+        }
     }
 }

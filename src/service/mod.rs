@@ -199,7 +199,11 @@ pub fn simulator(
             max_angular_accel_rad_s2: platform.max_angular_accel_rad_s2,
         },
     };
-    Simulator::new(world, &setup.sensors, &setup.recording, robot, setup.speed_of_sound_m_s, params, seed)
+    let speed_of_sound_m_s = setup.speed_of_sound_m_s;
+    let mut simulator =
+        Simulator::new(world, &setup.sensors, &setup.recording, robot, speed_of_sound_m_s, params, seed)?;
+    simulator.set_obstructions(&config.obstruction);
+    Ok(simulator)
 }
 
 fn decision_loop(config: &Config, pipeline: Pipeline, topics: DaemonTopics, ipc: &Ipc) -> DecisionLoop {

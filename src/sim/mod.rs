@@ -19,11 +19,12 @@ mod robot;
 mod score;
 mod world;
 
-pub use params::{Air, MotionLimits, RobotParams, SimError, SimParams};
+pub use params::{Air, Bursts, JAMMERS_MAX, Jammer, MotionLimits, RobotParams, SimError, SimParams};
 pub use robot::Odometry;
 pub use score::RunScore;
 pub use world::{Mover, Outline, PathLoop, Pillar, Start, Wall, WantedVelocity, World};
 
+use crate::geometry::shape::Shape;
 use crate::geometry::{Pose2, wrap_angle_rad};
 use crate::parameter::check_range;
 use crate::sensor::{RecordingFormat, SensorSetup};
@@ -118,7 +119,7 @@ impl Simulator {
             *out = self.empty_ping_set();
         }
         self.obstacles.move_to(&self.world, self.time_s);
-        self.echoes.place(&self.robot.pose);
+        self.echoes.place(&self.robot.pose, self.robot.velocity);
         out.sequence = self.ping_count;
         out.emitted_at = emitted_at;
         out.present = std::array::from_fn(|sensor| sensor < sensor_count);
@@ -178,6 +179,11 @@ impl Simulator {
     /// Switches a sensor's emission on or off, for tests of faults; its microphones go on hearing.
     pub fn set_emitting(&mut self, sensor_index: usize, on: bool) {
         self.echoes.set_emitting(sensor_index, on);
+    }
+
+    /// Sets what hides things on the robot itself, in its frame: masts and boxes on the deck. They do not echo.
+    pub fn set_obstructions(&mut self, shapes: &[Shape]) {
+        self.echoes.set_obstructions(shapes);
     }
 
     /// The world.

@@ -8,6 +8,8 @@ use nalgebra::Vector2;
 
 /// Points closer than this are one point.
 const MERGE_M: f64 = 1e-3;
+/// A mover's velocity is taken over the time that sound flies, about.
+const VELOCITY_OVER_S: f64 = 0.01;
 
 /// A straight piece of wall; both faces reflect.
 #[derive(Debug, Clone, Copy)]
@@ -24,6 +26,7 @@ pub(super) struct Segment {
 pub(super) struct Circle {
     pub(super) centre_m: Vector2<f64>,
     pub(super) radius_m: f64,
+    pub(super) velocity_m_s: Vector2<f64>,
 }
 
 /// A point where wall pieces end.
@@ -96,12 +99,10 @@ impl Obstacles {
             .enumerate()
             .map(|(point, &at_m)| Corner { at_m, faces: faces_at(point, &ends, &segments) })
             .collect();
-        let pillars = world
-            .pillars
-            .iter()
-            .map(|pillar| Circle { centre_m: Vector2::from(pillar.centre), radius_m: pillar.radius_m });
-        let movers =
-            world.movers.iter().map(|mover| Circle { centre_m: mover.position_m(0.0), radius_m: mover.radius_m });
+        let circle =
+            |centre_m: Vector2<f64>, radius_m: f64| Circle { centre_m, radius_m, velocity_m_s: Vector2::zeros() };
+        let pillars = world.pillars.iter().map(|pillar| circle(Vector2::from(pillar.centre), pillar.radius_m));
+        let movers = world.movers.iter().map(|mover| circle(mover.position_m(0.0), mover.radius_m));
         Self { segments, corners, circles: pillars.chain(movers).collect(), pillar_count: world.pillars.len() }
     }
 
@@ -114,6 +115,7 @@ impl Obstacles {
     pub(super) fn move_to(&mut self, world: &World, time_s: f64) {
         for (circle, mover) in self.circles[self.pillar_count..].iter_mut().zip(&world.movers) {
             circle.centre_m = mover.position_m(time_s);
+            circle.velocity_m_s = (mover.position_m(time_s + VELOCITY_OVER_S) - circle.centre_m) / VELOCITY_OVER_S;
         }
     }
 

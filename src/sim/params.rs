@@ -3,6 +3,10 @@
 //! Amplitudes are in units of full scale at the microphone. This file computes nothing.
 
 use crate::parameter::{ParameterError, check_positive, check_range};
+use crate::signal::SENSORS_MAX;
+
+/// Most jammers.
+pub const JAMMERS_MAX: usize = 4;
 
 /// Acoustics and behaviour of the simulation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,16 +29,62 @@ pub struct SimParams {
     pub air: Option<Air>,
     /// Whether sensors hear each other's emissions.
     pub cross_talk: bool,
-    /// Whether objects and housings hide what is behind them.
+    /// How late each sensor emits, and begins to record: its own echoes stay where they are, those of the others move.
+    pub sync_offsets_s: [f64; SENSORS_MAX],
+    /// Standard deviation of what comes on top of that, drawn for every ping and sensor.
+    pub sync_jitter_s: f64,
+    /// Sources of narrow-band ultrasound that are no sonar.
+    pub jammers: [Option<Jammer>; JAMMERS_MAX],
+    /// Whether objects, housings and obstructions hide what is behind them.
     pub occlusion: bool,
-    /// Whether echoes over two walls that do not meet in a corner are made too.
+    /// Whether echoes are made too that come over two walls which do not meet in a corner, or over a wall and something
+    /// round.
     pub multipath: bool,
+    /// Whether the robot and the movers move on while the sound flies; if not, all stand still for the length of a ping.
+    pub motion: bool,
     /// Echoes whose amplitude stays below this are left out.
     pub weakest_amplitude: f64,
     /// Relative standard deviation of the two wheels' diameters as odometry takes them; 0 = perfect odometry.
     pub odometry_drift: f64,
     /// Whether guidance starts again at the first waypoint after the last (for demonstrations).
     pub repeat_waypoints: bool,
+}
+
+/// A source of narrow-band ultrasound that is no sonar: a parking sensor, a switching supply, a leak of compressed air.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Jammer {
+    /// Its frequency; below 0.4 of the demodulated rate.
+    pub frequency_hz: f64,
+    /// What a microphone that faces it hears at 1 m.
+    pub amplitude_at_1_m: f64,
+    /// Where it stands in the world: x, y and the height above the sensors' origins.
+    pub position_m: [f64; 3],
+    /// Bursts; without them it sounds all the time.
+    pub bursts: Option<Bursts>,
+}
+
+/// When a jammer sounds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bursts {
+    /// From one burst to the next.
+    pub period_s: f64,
+    /// Length of a burst; the first and the last tenth fade.
+    pub duration_s: f64,
+}
+
+impl Jammer {
+    fn validate(&self) -> Result<(), ParameterError> {
+        check_positive("frequency_hz", self.frequency_hz, 1e6)?;
+        check_range("amplitude_at_1_m", self.amplitude_at_1_m, 0.0, 100.0)?;
+        for (axis, coordinate_m) in self.position_m.into_iter().enumerate() {
+            check_range(&format!("position_m[{axis}]"), coordinate_m, -1e4, 1e4)?;
+        }
+        if let Some(bursts) = self.bursts {
+            check_positive("bursts.period_s", bursts.period_s, 1e3)?;
+            check_positive("bursts.duration_s", bursts.duration_s, bursts.period_s)?;
+        }
+        Ok(())
+    }
 }
 
 /// State of the air, for its absorption.
@@ -66,8 +116,13 @@ impl Default for SimParams {
             view_zero_rad: 100f64.to_radians(),
             air: Some(Air::default()),
             cross_talk: true,
+            sync_offsets_s: [0.0; SENSORS_MAX],
+            // The sensors of paper 000 are synchronised to 400 ns.
+            sync_jitter_s: 2e-7,
+            jammers: [None; JAMMERS_MAX],
             occlusion: true,
             multipath: false,
+            motion: true,
             weakest_amplitude: 3e-6,
             odometry_drift: 0.0,
             repeat_waypoints: false,
@@ -92,6 +147,15 @@ impl SimParams {
             check_range("air.temperature_c", air.temperature_c, -40.0, 60.0)?;
             check_range("air.humidity_percent", air.humidity_percent, 1.0, 100.0)?;
             check_range("air.pressure_kpa", air.pressure_kpa, 20.0, 120.0)?;
+        }
+        for (sensor, offset_s) in self.sync_offsets_s.into_iter().enumerate() {
+            check_range(&format!("sync_offsets_s[{sensor}]"), offset_s, -0.1, 0.1)?;
+        }
+        check_range("sync_jitter_s", self.sync_jitter_s, 0.0, 0.1)?;
+        for (index, jammer) in self.jammers.iter().enumerate() {
+            if let Some(jammer) = jammer {
+                jammer.validate().map_err(|error| error.within(&format!("jammers[{index}]")))?;
+            }
         }
         check_range("weakest_amplitude", self.weakest_amplitude, 0.0, 1.0)?;
         check_range("odometry_drift", self.odometry_drift, 0.0, 0.5)

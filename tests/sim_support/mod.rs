@@ -92,9 +92,16 @@ pub fn pdm() -> RecordingFormat {
     RecordingFormat { format: SampleFormat::Pdm, sample_rate_hz: 4.5e6, samples: 163_840, decimation: 10 }
 }
 
-/// No noise, no direct path, no absorption, an emitter that sends the same everywhere in front: echoes alone.
+/// No noise, no direct path, no absorption, equal clocks, an emitter that sends the same everywhere in front: echoes alone.
 pub fn bare() -> SimParams {
-    SimParams { noise_rms: 0.0, direct_amplitude: 0.0, air: None, emitter_radius_m: 0.0, ..SimParams::default() }
+    SimParams {
+        noise_rms: 0.0,
+        direct_amplitude: 0.0,
+        air: None,
+        emitter_radius_m: 0.0,
+        sync_jitter_s: 0.0,
+        ..SimParams::default()
+    }
 }
 
 pub fn open_wall(points: &[[f64; 2]]) -> Wall {

@@ -3,30 +3,49 @@
 //! For every emission that a sensor hears: find the paths, compose each path's waveform, add it to every microphone at its
 //! exact delay; then noise, saturation and the recording's format. Single-threaded and keyed by seed, ping, sensor and
 //! microphone, so the bits depend on nothing else. No allocation once the buffers have grown.
+//!
+//! Robot and movers move on while the sound flies: an echo is heard where the microphone is by then (at 0.3 m/s 4.4 mm of
+//! range at 5 m, at 1 rad/s 1.7 degrees of bearing). Left out is the Doppler shift, the echo's own compression by 1 + 2 v/c: a
+//! hyperbolic sweep of T, f0, f1 then only seems later by T f1/(f0 - f1) 2 v/c, for the default one 4.4 us or 0.75 mm of range
+//! at 0.3 m/s, 2.5 mm for each metre per second of approach, at any range, and 0.01 dB weaker.
 
 mod air;
+mod cylinder;
 mod directivity;
 mod edge;
+mod jammer;
+mod motion;
 mod noise;
 mod path;
 mod pdm;
+mod sight;
 mod waveform;
 
 use super::obstacles::Obstacles;
 use super::params::{SimError, SimParams};
 use crate::geometry::Pose2;
+use crate::geometry::shape::Shape;
+use crate::parameter::check_range;
 use crate::sensor::dead_zone::{HOUSING_DEPTH_M, HOUSING_WIDTH_M};
 use crate::sensor::{RecordingFormat, SensorSetup};
-use crate::signal::{SENSORS_MAX, SampleFormat, Samples};
+use crate::signal::{SENSORS_MAX, SampleFormat, Samples, Velocity};
+use jammer::{Jamming, Listening};
+use motion::Motion;
 use nalgebra::Vector2;
 use noise::Noise;
 use path::{Finder, Medium, Path, Station};
 use pdm::PdmCoder;
+use sight::Sight;
 use std::sync::Arc;
 use waveform::{Waveform, WaveformTable};
 
 /// Largest amplitude that a microphone delivers.
 const FULL_SCALE: f32 = 1.0;
+/// What a stream of noise is for, where a microphone's index stands otherwise.
+const FOR_PDM: u64 = u64::MAX;
+const FOR_CLOCK: u64 = u64::MAX - 1;
+/// And where a sensor's index stands otherwise: jammers are the same for all.
+const FOR_JAMMERS: u64 = u64::MAX;
 
 /// Makes the microphone signals.
 #[derive(Debug, Clone)]
@@ -36,6 +55,11 @@ pub(super) struct EchoMaker {
     /// One a sensor; sensors with the same emission share a table.
     tables: Vec<Arc<WaveformTable>>,
     media: Vec<Medium>,
+    jammings: Vec<Jamming>,
+    /// In the robot's frame.
+    obstructions: Vec<Shape>,
+    robot: Pose2,
+    motion: Motion,
     recording: RecordingFormat,
     params: SimParams,
     speed_of_sound_m_s: f64,
@@ -55,7 +79,7 @@ impl EchoMaker {
         speed_of_sound_m_s: f64,
         seed: u64,
     ) -> Result<Self, SimError> {
-        check(sensors, recording)?;
+        check(sensors, recording, params)?;
         let mut tables: Vec<Arc<WaveformTable>> = Vec::new();
         for (index, sensor) in sensors.iter().enumerate() {
             let twin = sensors[..index].iter().position(|other| other.emission == sensor.emission);
@@ -66,11 +90,17 @@ impl EchoMaker {
         }
         let media = tables.iter().map(|table| Medium::new(table, params, speed_of_sound_m_s)).collect();
         let channels = sensors.iter().map(|sensor| sensor.array.channel_count()).max().unwrap_or(0);
+        let (rate_hz, samples) = (recording.demodulated_rate_hz(), recording.demodulated_samples());
+        let ready = |jammer| Jamming::new(jammer, params, rate_hz, samples);
         let mut maker = Self {
             stations: sensors.iter().map(|sensor| Station::new(&sensor.emitter_m, &sensor.array.positions_m)).collect(),
             waveform: tables[0].waveform(),
             tables,
             media,
+            jammings: params.jammers.into_iter().flatten().map(ready).collect(),
+            obstructions: Vec::new(),
+            robot: Pose2::default(),
+            motion: Motion::default(),
             recording: *recording,
             params: *params,
             speed_of_sound_m_s,
@@ -78,7 +108,7 @@ impl EchoMaker {
             coder: PdmCoder::new(recording.decimation),
             emitting: [true; SENSORS_MAX],
             paths: Vec::with_capacity(256),
-            pcm: vec![0.0; channels * recording.demodulated_samples()],
+            pcm: vec![0.0; channels * samples],
             sensors: sensors.to_vec(),
         };
         maker.look_through_housings();
@@ -88,6 +118,11 @@ impl EchoMaker {
     /// Switches a sensor's emission on or off; its microphones go on hearing.
     pub(super) fn set_emitting(&mut self, sensor: usize, on: bool) {
         self.emitting[sensor] = on;
+    }
+
+    /// Sets what hides things on the robot itself, in its frame.
+    pub(super) fn set_obstructions(&mut self, shapes: &[Shape]) {
+        self.obstructions = shapes.to_vec();
     }
 
     /// Number of sensors.
@@ -105,8 +140,11 @@ impl EchoMaker {
         }
     }
 
-    /// Puts all sensors where the robot is.
-    pub(super) fn place(&mut self, robot: &Pose2) {
+    /// Puts all sensors where the robot is, and lets it go on at `velocity` while the sound flies.
+    pub(super) fn place(&mut self, robot: &Pose2, velocity: Velocity) {
+        self.robot = *robot;
+        let velocity = if self.params.motion { velocity } else { Velocity::ZERO };
+        self.motion = Motion::new(robot, velocity, self.speed_of_sound_m_s);
         for (station, sensor) in self.stations.iter_mut().zip(&self.sensors) {
             let pose = robot.compose(&sensor.mount.pose());
             station.place(pose, &sensor.emitter_m, &sensor.array.positions_m);
@@ -133,7 +171,7 @@ impl EchoMaker {
                 }
             }
             Samples::Pdm(words) => {
-                let mut starts = Noise::new([self.seed, ping, sensor as u64, u64::MAX]);
+                let mut starts = Noise::new([self.seed, ping, sensor as u64, FOR_PDM]);
                 self.coder.encode(heard, channels, words, &mut starts);
             }
         }
@@ -146,34 +184,50 @@ impl EchoMaker {
             Noise::new([self.seed, ping, sensor as u64, microphone as u64]).fill(row, self.params.noise_rms);
         }
         let rate_hz = self.recording.demodulated_rate_hz();
-        let length_max_m = samples as f64 / rate_hz * self.speed_of_sound_m_s;
+        let clock_s = self.clock_s(sensor, ping);
+        let sight = Sight {
+            obstacles,
+            stations: &self.stations,
+            obstructions: &self.obstructions,
+            robot: self.robot,
+            occlusion: self.params.occlusion,
+        };
         for emitter in 0..self.sensors.len() {
             if !self.emitting[emitter] || (emitter != sensor && !self.params.cross_talk) {
                 continue;
             }
+            // How much later than this sensor's first sample the other one emits.
+            let late_s = if emitter == sensor { 0.0 } else { self.clock_s(emitter, ping) - clock_s };
+            let length_max_m = (samples as f64 / rate_hz - late_s) * self.speed_of_sound_m_s;
             self.paths.clear();
-            Finder {
-                obstacles,
-                stations: &self.stations,
-                params: &self.params,
-                medium: &self.media[emitter],
-                length_max_m,
-                emitter,
-                receiver: sensor,
-            }
-            .find(&mut self.paths);
+            let medium = &self.media[emitter];
+            Finder { sight: &sight, params: &self.params, medium, length_max_m, emitter, receiver: sensor }
+                .find(&mut self.paths);
             for path in &self.paths {
                 self.tables[emitter].compose(&path.response, &mut self.waveform);
                 for ((place, height_m), row) in self.stations[sensor].microphones_m.iter().zip(pcm.chunks_mut(samples))
                 {
-                    let (length_m, amplitude) = path.at(*place, *height_m);
-                    self.waveform.add_to(row, length_m / self.speed_of_sound_m_s * rate_hz, amplitude);
+                    let (length_m, amplitude) = self.motion.heard(path, *place, *height_m);
+                    let delay_s = length_m / self.speed_of_sound_m_s + late_s;
+                    self.waveform.add_to(row, delay_s * rate_hz, amplitude);
                 }
             }
+        }
+        let view_rad = (self.params.view_full_rad, self.params.view_zero_rad);
+        let speed_of_sound_m_s = self.speed_of_sound_m_s;
+        let listening = Listening { sight: &sight, sensor, clock_s, rate_hz, speed_of_sound_m_s, view_rad };
+        for (index, jamming) in self.jammings.iter().enumerate() {
+            jamming.add_to(pcm, &listening, Noise::new([self.seed, ping, FOR_JAMMERS, index as u64]));
         }
         for value in pcm {
             *value = value.clamp(-FULL_SCALE, FULL_SCALE);
         }
+    }
+
+    /// How late a sensor emits and begins to record.
+    fn clock_s(&self, sensor: usize, ping: u64) -> f64 {
+        let jitter = Noise::new([self.seed, ping, sensor as u64, FOR_CLOCK]).gaussian();
+        self.params.sync_offsets_s[sensor] + self.params.sync_jitter_s * jitter
     }
 
     /// A housing hides nothing from its own sensor, nor from one whose origin is inside it.
@@ -208,7 +262,7 @@ pub(super) fn housing_corners_m(pose: &Pose2) -> [Vector2<f64>; 4] {
         .map(|(x_m, y_m)| pose.parent_from_local(Vector2::new(x_m, y_m)))
 }
 
-fn check(sensors: &[SensorSetup], recording: &RecordingFormat) -> Result<(), SimError> {
+fn check(sensors: &[SensorSetup], recording: &RecordingFormat, params: &SimParams) -> Result<(), SimError> {
     let refuse = |sensor: &str, what, found: String, allowed: String| {
         Err(SimError::Sensor { sensor: sensor.to_owned(), what, found, allowed })
     };
@@ -223,6 +277,11 @@ fn check(sensors: &[SensorSetup], recording: &RecordingFormat) -> Result<(), Sim
         return refuse("all", "decimation", recording.decimation.to_string(), "1, unless the format is pdm".into());
     }
     let rate_hz = recording.demodulated_rate_hz();
+    for (index, jammer) in params.jammers.iter().enumerate() {
+        if let Some(jammer) = jammer {
+            check_range(&format!("jammers[{index}].frequency_hz"), jammer.frequency_hz, 0.0, 0.4 * rate_hz)?;
+        }
+    }
     for sensor in sensors {
         let channels = sensor.array.channel_count();
         let channels_max = if recording.format == SampleFormat::Pdm { pdm::CHANNELS } else { 1024 };

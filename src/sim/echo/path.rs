@@ -3,22 +3,24 @@
 //! Whether a path exists, what hides it and its colour are decided once, for the middle of the array; its length and
 //! spreading are exact for every microphone. The world being vertical, a path is plane but for the difference in
 //! height: its length is the hypotenuse of the plane length and that difference, also over edges and cylinders.
-//! Planes are mirror images; edges are [`super::edge`]; a cylinder spreads like geometrical optics says (Kuc and Siegel's
-//! cylinder, exact for any radius). This file makes no samples.
+//! Planes are mirror images; edges are [`super::edge`], cylinders [`super::cylinder`]. Multipath of first order is what comes
+//! over two walls, or over a wall and a cylinder in either order: mirror images again. This file makes no samples.
 
 use super::air::absorption_np_m;
+use super::cylinder::Bounce;
 use super::directivity::{piston, view};
 use super::edge;
+use super::sight::Sight;
 use super::waveform::{NODES, Response, WaveformTable};
 use crate::geometry::{Pose2, wrap_angle_rad};
-use crate::sim::obstacles::{Circle, Corner, Obstacles, Segment, cross, segments_cross};
+use crate::sim::obstacles::{Circle, Corner, Segment, cross};
 use crate::sim::params::SimParams;
 use nalgebra::{Vector2, Vector3};
 use rustfft::num_complex::Complex;
 use std::f64::consts::{PI, TAU};
 
 /// No path is shorter than this: an emitter is not a point.
-const LENGTH_MIN_M: f64 = 1e-3;
+pub(super) const LENGTH_MIN_M: f64 = 1e-3;
 /// Wedges this close to flat are walls.
 const FLAT_RAD: f64 = 1e-3;
 
@@ -67,7 +69,7 @@ impl Station {
     }
 
     /// Bearing of the direction from `from` to `to` off the boresight.
-    fn bearing_rad(&self, from: Vector2<f64>, to: Vector2<f64>) -> f64 {
+    pub(super) fn bearing_rad(&self, from: Vector2<f64>, to: Vector2<f64>) -> f64 {
         let offset = to - from;
         wrap_angle_rad(offset.y.atan2(offset.x) - self.pose.heading_rad)
     }
@@ -78,6 +80,7 @@ impl Station {
 pub(super) struct Medium {
     wave_numbers_rad_m: [f64; NODES],
     absorptions_np_m: [f64; NODES],
+    speed_of_sound_m_s: f64,
     /// Amplitude at 1 m, so that a plane at 1 m reads what the parameters say.
     source: f64,
 }
@@ -91,6 +94,7 @@ impl Medium {
         Self {
             wave_numbers_rad_m: table.nodes_hz.map(|frequency_hz| TAU * frequency_hz / speed_of_sound_m_s),
             absorptions_np_m,
+            speed_of_sound_m_s,
             source: 2.0 * params.plane_at_1_m / kept,
         }
     }
@@ -149,67 +153,9 @@ impl Path {
     }
 }
 
-/// The reflection point on a circle (Fermat's shortest way) between two places outside it.
-struct Bounce {
-    point_m: Vector2<f64>,
-    in_m: f64,
-    out_m: f64,
-    cos_incidence: f64,
-}
-
-impl Bounce {
-    fn new(circle: &Circle, emitter_m: Vector2<f64>, microphone_m: Vector2<f64>) -> Self {
-        let to_emitter = (emitter_m - circle.centre_m).normalize();
-        let to_microphone = (microphone_m - circle.centre_m).normalize();
-        let sum = to_emitter + to_microphone;
-        let mut angle = if sum.norm() > 1e-9 { sum.y.atan2(sum.x) } else { to_emitter.y.atan2(to_emitter.x) };
-        let mut bounce = Self::at(circle, angle, emitter_m, microphone_m);
-        // Newton on the derivative of the length; the bisector is so near that it converges in a few steps.
-        for _ in 0..6 {
-            let tangent = Vector2::new(-angle.sin(), angle.cos()) * circle.radius_m;
-            let inward = circle.centre_m - bounce.point_m;
-            let (mut slope, mut curvature) = (0.0, 0.0);
-            for (place, distance_m) in [(emitter_m, bounce.in_m), (microphone_m, bounce.out_m)] {
-                let away = (bounce.point_m - place) / distance_m;
-                let along = away.dot(&tangent);
-                slope += along;
-                curvature += (tangent.norm_squared() - along * along) / distance_m + away.dot(&inward);
-            }
-            let step = if curvature > 0.0 { slope / curvature } else { 0.0 };
-            angle -= step.clamp(-0.2, 0.2);
-            bounce = Self::at(circle, angle, emitter_m, microphone_m);
-            // The length's error is of second order in the angle's.
-            if step.abs() < 1e-7 {
-                break;
-            }
-        }
-        bounce
-    }
-
-    fn at(circle: &Circle, angle: f64, emitter_m: Vector2<f64>, microphone_m: Vector2<f64>) -> Self {
-        let normal = Vector2::new(angle.cos(), angle.sin());
-        let point_m = circle.centre_m + normal * circle.radius_m;
-        let in_m = (emitter_m - point_m).norm().max(LENGTH_MIN_M);
-        let out_m = (microphone_m - point_m).norm().max(LENGTH_MIN_M);
-        Self { point_m, in_m, out_m, cos_incidence: (emitter_m - point_m).dot(&normal) / in_m }
-    }
-
-    fn length_m(&self) -> f64 {
-        self.in_m + self.out_m
-    }
-
-    /// Amplitude: 1/s' at the surface, then the ray tube opens with its caustics at s' (upright) and rho (level),
-    /// 1/rho = 1/s' + 2/(a cos incidence). Backscattered that is sqrt(a/(a + r)) of a plane's, which a large a makes 1.
-    fn spreading(&self, radius_m: f64) -> f64 {
-        let caustic_m = 1.0 / (1.0 / self.in_m + 2.0 / (radius_m * self.cos_incidence.max(1e-3)));
-        (caustic_m / (self.in_m * self.length_m() * (caustic_m + self.out_m))).sqrt()
-    }
-}
-
 /// Finds all paths of one emission to one sensor.
 pub(super) struct Finder<'a> {
-    pub(super) obstacles: &'a Obstacles,
-    pub(super) stations: &'a [Station],
+    pub(super) sight: &'a Sight<'a>,
     pub(super) params: &'a SimParams,
     pub(super) medium: &'a Medium,
     pub(super) length_max_m: f64,
@@ -219,32 +165,44 @@ pub(super) struct Finder<'a> {
 
 impl Finder<'_> {
     fn emitter_m(&self) -> Vector2<f64> {
-        self.stations[self.emitter].emitter_m
+        self.station(self.emitter).emitter_m
     }
 
     fn ear_m(&self) -> Vector2<f64> {
-        self.stations[self.receiver].ear_m
+        self.station(self.receiver).ear_m
+    }
+
+    fn station(&self, sensor: usize) -> &Station {
+        &self.sight.stations[sensor]
     }
 
     /// Appends every path to `paths`, the direct one first.
     pub(super) fn find(&self, paths: &mut Vec<Path>) {
         self.direct(paths);
-        for segment in &self.obstacles.segments {
+        for segment in &self.sight.obstacles.segments {
             self.plane(segment, paths);
         }
-        for circle in &self.obstacles.circles {
+        for circle in &self.sight.obstacles.circles {
             self.cylinder(circle, paths);
         }
-        for corner in &self.obstacles.corners {
+        for corner in &self.sight.obstacles.corners {
             self.corner(corner, paths);
         }
         if self.params.multipath {
-            for first in &self.obstacles.segments {
-                for second in &self.obstacles.segments {
-                    if !std::ptr::eq(first, second) && !share_an_end(first, second) {
-                        self.double(first, second, None, paths);
-                    }
+            self.multipath(paths);
+        }
+    }
+
+    fn multipath(&self, paths: &mut Vec<Path>) {
+        for first in &self.sight.obstacles.segments {
+            for second in &self.sight.obstacles.segments {
+                if !std::ptr::eq(first, second) && !share_an_end(first, second) {
+                    self.double(first, second, None, paths);
                 }
+            }
+            for circle in &self.sight.obstacles.circles {
+                self.wall_then_cylinder(first, circle, paths);
+                self.cylinder_then_wall(first, circle, paths);
             }
         }
     }
@@ -253,7 +211,8 @@ impl Finder<'_> {
         let shape = Shape::Image(self.emitter_m());
         let path = Path { shape, emitter_height_m: self.emitter_height_m(), response: [Complex::new(0.0, 0.0); NODES] };
         if self.emitter == self.receiver {
-            let nearest_m = self.stations[self.receiver]
+            let nearest_m = self
+                .station(self.receiver)
                 .microphones_m
                 .iter()
                 .map(|(place, height)| path.at(*place, *height).0)
@@ -274,19 +233,51 @@ impl Finder<'_> {
     }
 
     fn cylinder(&self, circle: &Circle, paths: &mut Vec<Path>) {
-        let outside = |place: Vector2<f64>| (place - circle.centre_m).norm() > circle.radius_m;
-        if !(outside(self.emitter_m()) && outside(self.ear_m())) {
-            return;
-        }
-        let bounce = Bounce::new(circle, self.emitter_m(), self.ear_m());
-        if bounce.cos_incidence < 1e-3 {
-            return;
-        }
+        let Some(bounce) = self.bounce(circle, self.emitter_m(), self.ear_m()) else { return };
         let at_m = bounce.point_m;
         let legs = [(self.emitter_m(), at_m), (at_m, self.ear_m())];
-        let shape = Shape::Cylinder { circle: *circle, emitter_m: self.emitter_m() };
+        // A mover has moved on when the sound arrives there.
+        let flown_s = if self.params.motion { bounce.in_m / self.medium.speed_of_sound_m_s } else { 0.0 };
+        let centre_m = circle.centre_m + circle.velocity_m_s * flown_s;
+        let shape = Shape::Cylinder { circle: Circle { centre_m, ..*circle }, emitter_m: self.emitter_m() };
         let way = Way { shape, departs_m: at_m, arrives_m: at_m, strength: 1.0 };
         self.add(way, |_| Complex::new(1.0, 0.0), &legs, paths);
+    }
+
+    /// Over a wall to a cylinder: the cylinder's echo of the emitter's mirror image.
+    fn wall_then_cylinder(&self, segment: &Segment, circle: &Circle, paths: &mut Vec<Path>) {
+        let (from_m, to_m) = (self.emitter_m(), self.ear_m());
+        let image_m = mirror(segment, from_m);
+        let Some(bounce) = self.bounce(circle, image_m, to_m) else { return };
+        let Some((_, wall_m)) = reflect(segment, from_m, bounce.point_m) else { return };
+        let legs = [(from_m, wall_m), (wall_m, bounce.point_m), (bounce.point_m, to_m)];
+        let shape = Shape::Cylinder { circle: *circle, emitter_m: image_m };
+        let way = Way { shape, departs_m: wall_m, arrives_m: bounce.point_m, strength: 1.0 };
+        self.add(way, |_| Complex::new(1.0, 0.0), &legs, paths);
+    }
+
+    /// Over a cylinder to a wall: seen in the mirror, the echo of the mirrored cylinder and emitter.
+    fn cylinder_then_wall(&self, segment: &Segment, circle: &Circle, paths: &mut Vec<Path>) {
+        let (from_m, to_m) = (self.emitter_m(), self.ear_m());
+        let (image_m, centre_m) = (mirror(segment, from_m), mirror(segment, circle.centre_m));
+        let mirrored = Circle { centre_m, ..*circle };
+        let Some(bounce) = self.bounce(&mirrored, image_m, to_m) else { return };
+        let at_m = mirror(segment, bounce.point_m);
+        let Some((_, wall_m)) = reflect(segment, at_m, to_m) else { return };
+        let legs = [(from_m, at_m), (at_m, wall_m), (wall_m, to_m)];
+        let shape = Shape::Cylinder { circle: mirrored, emitter_m: image_m };
+        let way = Way { shape, departs_m: at_m, arrives_m: wall_m, strength: 1.0 };
+        self.add(way, |_| Complex::new(1.0, 0.0), &legs, paths);
+    }
+
+    /// The echo of a circle between two places outside it, unless it lies in its shadow or comes too late.
+    fn bounce(&self, circle: &Circle, from_m: Vector2<f64>, to_m: Vector2<f64>) -> Option<Bounce> {
+        let (near_m, far_m) = ((from_m - circle.centre_m).norm(), (to_m - circle.centre_m).norm());
+        if near_m.min(far_m) <= circle.radius_m || near_m + far_m - 2.0 * circle.radius_m >= self.length_max_m {
+            return None;
+        }
+        let bounce = Bounce::new(circle, from_m, to_m);
+        (bounce.cos_incidence >= 1e-3).then_some(bounce)
     }
 
     fn corner(&self, corner: &Corner, paths: &mut Vec<Path>) {
@@ -300,7 +291,8 @@ impl Finder<'_> {
         let Some(from_rad) = sector.angle_of(direction(self.emitter_m())) else { return };
         let Some(to_rad) = sector.angle_of(direction(self.ear_m())) else { return };
         if sector.opening_rad < PI - FLAT_RAD {
-            let (first, second) = (self.obstacles.segments[sector.faces.0], self.obstacles.segments[sector.faces.1]);
+            let (first, second) =
+                (self.sight.obstacles.segments[sector.faces.0], self.sight.obstacles.segments[sector.faces.1]);
             self.double(&first, &second, Some(corner.at_m), paths);
             self.double(&second, &first, Some(corner.at_m), paths);
         } else if sector.opening_rad > PI + FLAT_RAD {
@@ -370,7 +362,7 @@ impl Finder<'_> {
         legs: &[(Vector2<f64>, Vector2<f64>)],
         paths: &mut Vec<Path>,
     ) {
-        let (emitter, receiver) = (&self.stations[self.emitter], &self.stations[self.receiver]);
+        let (emitter, receiver) = (self.station(self.emitter), self.station(self.receiver));
         let mut path = Path {
             shape: way.shape,
             emitter_height_m: self.emitter_height_m(),
@@ -392,45 +384,21 @@ impl Finder<'_> {
             *response = colour(node) * (gain * sent * (-self.medium.absorptions_np_m[node] * length_m).exp());
         }
         let strongest = path.response.iter().map(|value| value.norm()).fold(0.0, f64::max);
-        if strongest * spreading < self.params.weakest_amplitude || self.hidden(legs) {
+        if strongest * spreading < self.params.weakest_amplitude
+            || self.sight.hidden(legs, emitter.looks_through, receiver.looks_through)
+        {
             return;
         }
         paths.push(path);
     }
 
-    /// Whether anything stands in the way of the legs.
-    fn hidden(&self, legs: &[(Vector2<f64>, Vector2<f64>)]) -> bool {
-        if !self.params.occlusion {
-            return false;
-        }
-        let last = legs.len() - 1;
-        legs.iter().enumerate().any(|(index, &(from_m, to_m))| {
-            let mut looks_through = 0;
-            if index == 0 {
-                looks_through |= self.stations[self.emitter].looks_through;
-            }
-            if index == last {
-                looks_through |= self.stations[self.receiver].looks_through;
-            }
-            self.obstacles.block(from_m, to_m) || self.housing_blocks(from_m, to_m, looks_through)
-        })
-    }
-
-    fn housing_blocks(&self, from_m: Vector2<f64>, to_m: Vector2<f64>, looks_through: u8) -> bool {
-        self.stations.iter().enumerate().any(|(sensor, station)| {
-            let corners = &station.housing_m;
-            looks_through & (1 << sensor) == 0
-                && (0..4).any(|index| segments_cross(from_m, to_m, corners[index], corners[(index + 1) % 4]))
-        })
-    }
-
     fn emitter_height_m(&self) -> f64 {
-        self.stations[self.emitter].emitter_height_m
+        self.station(self.emitter).emitter_height_m
     }
 
     fn spreading(&self, shape: Shape) -> f64 {
         let path = Path { shape, emitter_height_m: self.emitter_height_m(), response: [Complex::new(0.0, 0.0); NODES] };
-        path.at(self.ear_m(), self.stations[self.receiver].ear_height_m).1
+        path.at(self.ear_m(), self.station(self.receiver).ear_height_m).1
     }
 }
 
