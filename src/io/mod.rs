@@ -19,6 +19,7 @@ pub mod node;
 pub mod params;
 pub mod picture;
 pub mod plot;
+mod polar;
 pub mod raw_topics;
 pub mod recording_file;
 mod root;
