@@ -120,6 +120,48 @@ fn a_run_is_drawn_in_the_colours_of_the_layers_that_decided() {
     assert_eq!(colours.len(), LAYERS.len(), "no colour stands for two layers");
 }
 
+/// CIE L*a*b* of an sRGB colour as a reader sees it whose `sight` turns linear RGB into what is left of it.
+fn seen(colour: [u8; 3], sight: [[f64; 3]; 3]) -> [f64; 3] {
+    let linear = colour.map(|part| {
+        let part = f64::from(part) / 255.0;
+        if part <= 0.04045 { part / 12.92 } else { ((part + 0.055) / 1.055).powf(2.4) }
+    });
+    let [r, g, b] = sight.map(|row| (0..3).map(|part| row[part] * linear[part]).sum::<f64>().clamp(0.0, 1.0));
+    let root = |share: f64| if share > 0.008_856 { share.cbrt() } else { 7.787 * share + 16.0 / 116.0 };
+    let x = root((0.4124 * r + 0.3576 * g + 0.1805 * b) / 0.9505);
+    let y = root(0.2126 * r + 0.7152 * g + 0.0722 * b);
+    let z = root((0.0193 * r + 0.1192 * g + 0.9505 * b) / 1.089);
+    [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
+}
+
+/// Smallest distance between two of the colours for readers of any sight: Machado, Oliveira and Fernandes 2009, table 1.
+fn closest(colours: &[[u8; 3]]) -> f64 {
+    let sights = [
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        [[0.152_286, 1.052_583, -0.204_868], [0.114_503, 0.786_281, 0.099_216], [-0.003_882, -0.048_116, 1.051_998]],
+        [[0.367_322, 0.860_646, -0.227_968], [0.280_085, 0.672_501, 0.047_413], [-0.011_820, 0.042_940, 0.968_881]],
+        [[1.255_528, -0.076_749, -0.178_779], [-0.078_411, 0.930_809, 0.147_602], [0.004_733, 0.691_367, 0.303_900]],
+    ];
+    let mut closest = f64::INFINITY;
+    for sight in sights {
+        for (index, first) in colours.iter().enumerate() {
+            for second in &colours[index + 1..] {
+                let (a, b) = (seen(*first, sight), seen(*second, sight));
+                closest = closest.min((0..3).map(|part| (a[part] - b[part]).powi(2)).sum::<f64>().sqrt());
+            }
+        }
+    }
+    closest
+}
+
+#[test]
+fn colour_blind_readers_tell_the_layers_apart() {
+    // Measured: 17, blue and green without blue cones; 23 for the far more common lack of red or green ones. A distance of 2
+    // is just seen side by side; lines apart need several times as much.
+    assert!(closest(&LAYERS.map(layer_colour)) > 15.0, "{}", closest(&LAYERS.map(layer_colour)));
+    assert!(closest(&[[200, 60, 40], [110, 105, 30]]) < 15.0, "red and olive, which many confuse");
+}
+
 /// Whether the picture holds anything as red as a contact's cross near a place.
 fn crossed(picture: &Picture, scale: &Scale, x_m: f64, y_m: f64) -> bool {
     let (x, y) = scale.pixel(x_m, y_m);
@@ -185,6 +227,29 @@ fn a_mirrored_world_with_mirrored_runs_is_the_mirrored_picture() {
             assert!(apart <= 2, "({step}, {y}): {pair:?}");
         }
     }
+}
+
+#[test]
+fn a_window_shows_its_part_of_the_world_and_nothing_spills_over_its_frame() {
+    let mut world = room();
+    world.waypoints = vec![[2.0, 4.0]];
+    world.reach_m = 3.0; // a circle far larger than the window
+    let runs = [straight(LayerName::FlowFollowing, 4.0, 1.0, 9.0)];
+    let window_m = Some([[1.0, 3.0], [5.0, 5.0]]);
+    let picture = paths(&world, &runs, &PathsOptions { window_m, ..PathsOptions::default() });
+    // Grown by a border of 0.1 m: ticks every half metre from 1.0 to 5.0 and from 3.0 to 5.0.
+    let scale = Scale::read(&picture, ([1.0, 5.0], 9), ([3.0, 5.0], 5));
+    assert_eq!(scale.colour(&picture, 4.0, 4.0), layer_colour(LayerName::FlowFollowing));
+    let (x, y) = scale.pixel(3.0, 4.5);
+    assert!(dark(&picture, x, y), "the inner wall");
+    let blue = |pixel: [u8; 3]| pixel[2] > pixel[0].saturating_add(60);
+    let (width, height) = (picture.size_px().0 as i32, scale.pixel(1.0, 2.85).1);
+    let (left, right) = (scale.pixel(0.88, 3.0).0, scale.pixel(5.12, 3.0).0);
+    for (x, y) in (0..height).flat_map(|y| (0..left).chain(right..width).map(move |x| (x, y))) {
+        assert!(!picture.pixel(x, y).is_some_and(blue), "({x}, {y}) lies outside the frame");
+    }
+    let inverted = PathsOptions { window_m: Some([[5.0, 5.0], [1.0, f64::NAN]]), ..PathsOptions::default() };
+    assert_eq!(paths(&world, &runs, &inverted), paths(&world, &runs, &PathsOptions::default()), "no window");
 }
 
 #[test]

@@ -2,12 +2,12 @@
 //!
 //! | figure | function | what goes in |
 //! |---|---|---|
-//! | 9 | [`heat_map`] | a world and the ways of many runs through it |
-//! | 1c | [`frames`], [`energyscapes_together`] | energyscapes |
-//! | 4b, 5 | [`flow_lines`] | lines of a sensor's image |
-//! | 7 | [`regions`] | a robot and the regions of its layers |
-//! | 8 | [`masks_together`] | the masks of a layer |
-//! | 11, 12 | [`paths`], [`paths_by_layout`] | the same, coloured by the layer that decided |
+//! | 9 | [`heat_map()`] | a world and the ways of many runs through it |
+//! | 1c | [`frames()`], [`energyscapes_together()`] | energyscapes |
+//! | 4b, 5 | [`flow_lines()`] | lines of a sensor's image |
+//! | 7 | [`regions()`] | a robot and the regions of its layers |
+//! | 8 | [`masks_together()`] | the masks of a layer |
+//! | 11, 12 | [`paths()`], [`paths_by_layout()`] | the same, coloured by the layer that decided |
 //!
 //! Every function is pure: the same input gives the same pixels. Whatever is not finite, or farther out than a world may
 //! reach, is left out of the picture; no input panics. Nothing here computes a result, it only shows what it is handed.
@@ -55,7 +55,8 @@ pub struct PlottedRun<'a> {
     pub reached_goal: bool,
 }
 
-/// Colour that stands for a layer in every plot: the palette of Okabe and Ito, which colour-blind readers can tell apart.
+/// Colour that stands for a layer in every plot: the palette of Okabe and Ito, which colour-blind readers can tell apart, with
+/// a lighter grey and a darker violet, which their lightness alone sets off from the rest.
 #[must_use]
 pub fn layer_colour(layer: LayerName) -> [u8; 3] {
     let colour = layer_ink(layer);
@@ -64,12 +65,12 @@ pub fn layer_colour(layer: LayerName) -> [u8; 3] {
 
 fn layer_ink(layer: LayerName) -> Rgb888 {
     match layer {
-        LayerName::PassThrough => Rgb888::new(150, 150, 150),
+        LayerName::PassThrough => Rgb888::new(190, 190, 190),
         LayerName::CollisionAvoidance => Rgb888::new(213, 94, 0),
         LayerName::ObstacleAvoidance => Rgb888::new(240, 190, 0),
         LayerName::FlowFollowing => Rgb888::new(0, 114, 178),
         LayerName::CorridorFollowing => Rgb888::new(0, 158, 115),
-        LayerName::Stopped => Rgb888::new(204, 121, 167),
+        LayerName::Stopped => Rgb888::new(60, 10, 70),
     }
 }
 

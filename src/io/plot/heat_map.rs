@@ -37,11 +37,19 @@ pub struct HeatMapOptions {
     pub measure: HeatMeasure,
     /// Pixels of the map's longer side, without what stands around it; 200 to 4000.
     pub long_side_px: u32,
+    /// Only the rectangle between these corners, low x and y first, instead of the whole world.
+    pub window_m: Option<[[f64; 2]; 2]>,
 }
 
 impl Default for HeatMapOptions {
     fn default() -> Self {
-        Self { title: String::new(), footprint_radius_m: 0.0, measure: HeatMeasure::Runs, long_side_px: 1100 }
+        Self {
+            title: String::new(),
+            footprint_radius_m: 0.0,
+            measure: HeatMeasure::Runs,
+            long_side_px: 1100,
+            window_m: None,
+        }
     }
 }
 
@@ -52,7 +60,7 @@ pub fn heat_map(world: &World, runs: &[PlottedRun], options: &HeatMapOptions) ->
     let mut map = Map::new(
         world,
         runs,
-        options.long_side_px,
+        (options.long_side_px, options.window_m),
         Frame {
             titles: [&options.title, &counts],
             right_px: BAR_PX,
@@ -71,8 +79,9 @@ pub fn heat_map(world: &World, runs: &[PlottedRun], options: &HeatMapOptions) ->
     map.draw_world(world);
     map.draw_waypoints(world);
     map.draw_contacts(runs);
-    draw_bar(&mut map, most, options);
-    map.picture
+    let (mut picture, area) = map.finished();
+    draw_bar(&mut picture, area, most, options);
+    picture
 }
 
 /// Place on the logarithmic scale from 1 (0) to `most` (1).
@@ -86,8 +95,8 @@ fn heat(share: f64) -> Rgb888 {
     Rgb888::new(colour.r, colour.g, colour.b)
 }
 
-fn draw_bar(map: &mut Map, most: u32, options: &HeatMapOptions) {
-    let Area { top, right, bottom, .. } = map.area;
+fn draw_bar(picture: &mut Picture, area: Area, most: u32, options: &HeatMapOptions) {
+    let Area { top, right, bottom, .. } = area;
     let bar = Area { left: right + 28, top: top + 70, right: right + 48, bottom: (top + 400).min(bottom) };
     let decades = (0..10).map(|power| 10u32.pow(power));
     let values = decades.flat_map(|decade| [1, 2, 5].map(|part| decade.saturating_mul(part)));
@@ -104,12 +113,11 @@ fn draw_bar(map: &mut Map, most: u32, options: &HeatMapOptions) {
         (HeatMeasure::PingSets, true) => ["ping sets with", "a robot over", "this place", "(log scale)"],
         (HeatMeasure::PingSets, false) => ["ping sets with", "its centre at", "this place", "(log scale)"],
     };
-    bar.colour_bar(&mut map.picture, heat, &ticks, &title);
+    bar.colour_bar(picture, heat, &ticks, &title);
 }
 
 /// Counts of the cells of a map, row by row from its top left corner.
 struct Cells {
-    area: Area,
     side_px: i32,
     columns: i32,
     rows: i32,
@@ -119,23 +127,22 @@ struct Cells {
 }
 
 impl Cells {
-    fn new(area: Area, side_px: i32) -> Self {
-        let columns = (area.right - area.left) / side_px + 1;
-        let rows = (area.bottom - area.top) / side_px + 1;
+    fn new(picture: &Picture, side_px: i32) -> Self {
+        let (width, height) = picture.size_px();
+        let (columns, rows) = (width.cast_signed() / side_px + 1, height.cast_signed() / side_px + 1);
         let count = columns as usize * rows as usize;
-        Self { area, side_px, columns, rows, values: vec![0; count], last: vec![0; count] }
+        Self { side_px, columns, rows, values: vec![0; count], last: vec![0; count] }
     }
 
     fn corner_px(&self, index: usize) -> Vector2<f64> {
         let (row, column) = (index as i32 / self.columns, index as i32 % self.columns);
-        Vector2::new(f64::from(self.area.left + column * self.side_px), f64::from(self.area.top + row * self.side_px))
+        Vector2::new(f64::from(column * self.side_px), f64::from(row * self.side_px))
     }
 
     /// A place of the picture in cells: whole numbers are the middles of cells.
     fn in_cells(&self, place_px: Vector2<f64>) -> Vector2<f64> {
         let middle_px = 0.5 * f64::from(self.side_px - 1);
-        let corner = Vector2::new(f64::from(self.area.left), f64::from(self.area.top));
-        (place_px - corner.add_scalar(middle_px)) / f64::from(self.side_px)
+        place_px.add_scalar(-middle_px) / f64::from(self.side_px)
     }
 
     /// Counts `visit` in all cells within `radius` cells of the line between two places, all in cells.
@@ -160,7 +167,7 @@ fn count(map: &Map, runs: &[PlottedRun], options: &HeatMapOptions) -> Cells {
     let radius_px = Some(options.footprint_radius_m * map.view.pixels_per_m()).filter(|radius| radius.is_finite());
     let radius_px = radius_px.unwrap_or(0.0).clamp(0.0, 1e4);
     let side_px = ((radius_px / REACH_MAX_CELLS).ceil() as i32).max(CELL_MIN_PX);
-    let mut cells = Cells::new(map.area, side_px);
+    let mut cells = Cells::new(&map.picture, side_px);
     // A centre alone still has to be seen.
     let radius = (radius_px / f64::from(side_px)).max(0.75);
     let joined = options.measure == HeatMeasure::Runs;

@@ -30,11 +30,13 @@ pub struct PathsOptions {
     /// Pixels of the map's longer side, without what stands around it; 200 to 4000. With a panel for each layout, of all
     /// maps of a row together.
     pub long_side_px: u32,
+    /// Only the rectangle between these corners, low x and y first, instead of the whole world.
+    pub window_m: Option<[[f64; 2]; 2]>,
 }
 
 impl Default for PathsOptions {
     fn default() -> Self {
-        Self { title: String::new(), long_side_px: 1100 }
+        Self { title: String::new(), long_side_px: 1100, window_m: None }
     }
 }
 
@@ -43,7 +45,7 @@ impl Default for PathsOptions {
 pub fn paths(world: &World, runs: &[PlottedRun], options: &PathsOptions) -> Picture {
     let counts = world::counts(runs) + SHARES;
     let frame = Frame { titles: [&options.title, &counts], right_px: 0, legend: way_legend(runs), axis_titles: true };
-    panel(world, runs, runs, options.long_side_px, frame)
+    panel(world, runs, runs, (options.long_side_px, options.window_m), frame)
 }
 
 /// As [`paths`], with a panel of its own for each layout, in the order in which they first appear; at most 64.
@@ -69,7 +71,7 @@ pub fn paths_by_layout(world: &World, runs: &[PlottedRun], options: &PathsOption
             let counts = world::counts(&chosen).replacen(", 1 layout", "", 1);
             let side_px = options.long_side_px.clamp(200, 8000) / columns as u32;
             let frame = Frame { titles: [layout, &counts], right_px: 0, legend: Vec::new(), axis_titles: false };
-            panel(world, &chosen, runs, side_px, frame)
+            panel(world, &chosen, runs, (side_px, options.window_m), frame)
         })
         .collect();
     let mut legend = world::world_legend(world);
@@ -78,8 +80,14 @@ pub fn paths_by_layout(world: &World, runs: &[PlottedRun], options: &PathsOption
 }
 
 /// One map: the size is that of a map of all `runs`, so that panels agree.
-fn panel(world: &World, shown: &[PlottedRun], runs: &[PlottedRun], side_px: u32, frame: Frame) -> Picture {
-    let mut map = Map::new(world, runs, side_px, frame);
+fn panel(
+    world: &World,
+    shown: &[PlottedRun],
+    runs: &[PlottedRun],
+    size: (u32, Option<[[f64; 2]; 2]>),
+    frame: Frame,
+) -> Picture {
+    let mut map = Map::new(world, runs, size, frame);
     map.draw_floor(world);
     map.draw_world(world);
     let width_px = if shown.len() > 30 { 1.8 } else { 3.2 };
@@ -105,7 +113,7 @@ fn panel(world: &World, shown: &[PlottedRun], runs: &[PlottedRun], side_px: u32,
     }
     map.draw_waypoints(world);
     map.draw_contacts(shown);
-    map.picture
+    map.finished().0
 }
 
 /// Signs of the layers, with the share of ping sets that each decided, and of what else is on a way.

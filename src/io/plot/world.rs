@@ -20,11 +20,12 @@ const PILLAR: Rgb888 = Rgb888::new(95, 95, 95);
 const MOVER: Rgb888 = Rgb888::new(150, 0, 150);
 const START_ZONE: Rgb888 = Rgb888::new(20, 20, 20);
 
-/// A map under construction.
+/// A map under construction: drawn apart from its frame, so that nothing spills over it.
 pub(super) struct Map {
     pub(super) picture: Picture,
     pub(super) view: View,
-    pub(super) area: Area,
+    sheet: Picture,
+    area: Area,
 }
 
 /// A place that can be drawn.
@@ -39,8 +40,12 @@ pub(super) fn drawable(points: &[PlottedPoint]) -> impl Iterator<Item = Vec<(Vec
     pieces.map(move |piece| piece.iter().filter_map(located).collect())
 }
 
-/// Corners of everything that has to be on the map; a square metre where there is nothing.
-fn bounds_m(world: &World, runs: &[PlottedRun]) -> (Vector2<f64>, Vector2<f64>) {
+/// Corners of the window, or of everything that has to be on the map; a square metre where there is nothing.
+fn bounds_m(world: &World, runs: &[PlottedRun], window_m: Option<[[f64; 2]; 2]>) -> (Vector2<f64>, Vector2<f64>) {
+    let corners = window_m.and_then(|[low, high]| Some((place_m(low[0], low[1])?, place_m(high[0], high[1])?)));
+    if let Some((low, high)) = corners.filter(|(low, high)| low.x < high.x && low.y < high.y) {
+        return chrome::bordered(low, high, LEAST);
+    }
     let walls = world.walls.iter().flat_map(|wall| wall.points.iter().map(|point| (*point, 0.0)));
     let pillars = world.pillars.iter().map(|pillar| (pillar.centre, pillar.radius_m));
     let movers = world.movers.iter().flat_map(|mover| mover.path.iter().map(|point| (*point, mover.radius_m)));
@@ -62,26 +67,37 @@ fn bounds_m(world: &World, runs: &[PlottedRun]) -> (Vector2<f64>, Vector2<f64>) 
 }
 
 impl Map {
-    /// A map with axes, titles and legend, its longer side of `long_side_px`; nothing is drawn on it yet.
-    pub(super) fn new(world: &World, runs: &[PlottedRun], long_side_px: u32, mut frame: Frame) -> Self {
-        let (low_m, high_m) = bounds_m(world, runs);
+    /// A map of the whole world or of a window of it, with axes, titles and legend, its longer side of `long_side_px`.
+    pub(super) fn new(
+        world: &World,
+        runs: &[PlottedRun],
+        (long_side_px, window_m): (u32, Option<[[f64; 2]; 2]>),
+        mut frame: Frame,
+    ) -> Self {
+        let (low_m, high_m) = bounds_m(world, runs, window_m);
         let extent_m = high_m - low_m;
         let pixels_per_m = f64::from(long_side_px.clamp(200, 4000)) / extent_m.max();
         let (width, height) = ((extent_m.x * pixels_per_m).round() as i32, (extent_m.y * pixels_per_m).round() as i32);
         frame.legend.splice(0..0, world_legend(world));
-        let (mut picture, area) = frame.sheet(width, height);
+        let (mut sheet, area) = frame.sheet(width, height);
         let [x_title, y_title] = if frame.axis_titles { ["x (m)", "y (m)"] } else { ["", ""] };
         // The area is a whole number of pixels, which the world need not be.
         let (width_m, height_m) = (f64::from(width) / pixels_per_m, f64::from(height) / pixels_per_m);
-        area.axis_below(&mut picture, &chrome::axis_ticks(low_m.x, low_m.x + width_m, width), x_title);
-        area.axis_left(&mut picture, &chrome::axis_ticks(low_m.y, low_m.y + height_m, height), y_title);
-        let view = View::map(Point::new(area.left, area.bottom), low_m, pixels_per_m);
-        Self { picture, view, area }
+        area.axis_below(&mut sheet, &chrome::axis_ticks(low_m.x, low_m.x + width_m, width), x_title);
+        area.axis_left(&mut sheet, &chrome::axis_ticks(low_m.y, low_m.y + height_m, height), y_title);
+        let picture = Picture::new(width as u32 + 1, height as u32 + 1);
+        Self { picture, view: View::map(Point::new(0, height), low_m, pixels_per_m), sheet, area }
     }
 
-    /// Draws what lies under the ways: the frame, movers' paths and the start zone.
+    /// The map in its frame, and where in the picture it is.
+    pub(super) fn finished(mut self) -> (Picture, Area) {
+        self.sheet.paste(&self.picture, Point::new(self.area.left, self.area.top));
+        self.area.frame(&mut self.sheet);
+        (self.sheet, self.area)
+    }
+
+    /// Draws what lies under the ways: the movers' paths.
     pub(super) fn draw_floor(&mut self, world: &World) {
-        self.area.frame(&mut self.picture);
         for mover in &world.movers {
             let closing = (mover.repeat == PathLoop::Cycle).then(|| mover.path.first()).flatten();
             let path = mover.path.iter().chain(closing);
