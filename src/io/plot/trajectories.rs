@@ -90,7 +90,9 @@ fn panel(
     let mut map = Map::new(world, runs, size, frame);
     map.draw_floor(world);
     map.draw_world(world);
-    let width_px = if shown.len() > 30 { 1.8 } else { 3.2 };
+    // Thin enough that many ways, or ways on a small panel, still lie beside each other.
+    let smaller = (f64::from(size.0) / f64::from(PathsOptions::default().long_side_px)).sqrt().clamp(0.5, 1.0);
+    let width_px = smaller * if shown.len() > 30 { 1.8 } else { 3.2 };
     for layer in ORDER {
         for run in shown {
             for piece in world::drawable(&run.points) {
