@@ -8,8 +8,9 @@
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`source`] | where ping sets come from |
-//! | [`recording_file`], [`picture`] | files in, pictures out |
+//! | [`recording_file`], [`picture`], [`plot`] | files in, pictures out |
 
+mod canvas;
 pub mod clients;
 pub mod daemon_topics;
 pub mod echo;
@@ -17,6 +18,8 @@ pub mod error;
 pub mod node;
 pub mod params;
 pub mod picture;
+pub mod plot;
+mod polar;
 pub mod raw_topics;
 pub mod recording_file;
 mod root;

@@ -2,176 +2,53 @@
 //!
 //! In: an image or mask on its grid. Out: an RGB picture and its PNG. Never scales data, only colours.
 
-use crate::geometry::polar_from_cartesian;
+pub use super::canvas::{Picture, write_png};
+
+use super::canvas::{GRID_LINE, INK, View};
+use super::polar::Azimuths;
 use crate::sensor::SensorSetup;
 use crate::signal::{Energyscape, Mask, PolarGrid};
-use embedded_graphics::mono_font::{MonoTextStyle, ascii::FONT_7X13};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle};
-use embedded_graphics::text::{Alignment, Text};
+use embedded_graphics::primitives::{Circle, PrimitiveStyle};
+use embedded_graphics::text::Alignment;
 use nalgebra::Vector2;
-use std::convert::Infallible;
-use std::path::Path;
 
-const BACKGROUND: Rgb888 = Rgb888::new(255, 255, 255);
 const SEEN: Rgb888 = Rgb888::new(244, 244, 240);
-const LEFT: Rgb888 = Rgb888::new(230, 126, 34);
-const RIGHT: Rgb888 = Rgb888::new(41, 121, 185);
-const INK: Rgb888 = Rgb888::new(60, 60, 60);
-const GRID_LINE: Rgb888 = Rgb888::new(150, 150, 150);
+pub(super) const LEFT: Rgb888 = Rgb888::new(230, 126, 34);
+pub(super) const RIGHT: Rgb888 = Rgb888::new(41, 121, 185);
 /// Decibels between the brightest and the darkest colour.
-const DYNAMIC_RANGE_DB: f64 = 50.0;
-const MARGIN_PX: i32 = 36;
-
-/// An RGB picture.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
-    width: u32,
-    height: u32,
-    pixels: Vec<Rgb888>,
-}
-
-impl Picture {
-    fn new(width: u32, height: u32) -> Self {
-        Self { width, height, pixels: vec![BACKGROUND; width as usize * height as usize] }
-    }
-
-    /// Width and height in pixels.
-    #[must_use]
-    pub fn size_px(&self) -> (u32, u32) {
-        (self.width, self.height)
-    }
-
-    /// Colour of a pixel, (0, 0) at the top left; `None` outside.
-    #[must_use]
-    pub fn pixel(&self, x: i32, y: i32) -> Option<[u8; 3]> {
-        self.index(x, y).map(|index| {
-            let colour = self.pixels[index];
-            [colour.r(), colour.g(), colour.b()]
-        })
-    }
-
-    fn index(&self, x: i32, y: i32) -> Option<usize> {
-        let inside = (0..self.width.cast_signed()).contains(&x) && (0..self.height.cast_signed()).contains(&y);
-        inside.then(|| y as usize * self.width as usize + x as usize)
-    }
-
-    fn shape(&mut self, drawn: impl Drawable<Color = Rgb888>) {
-        let Ok(_) = drawn.draw(self);
-    }
-
-    fn line(&mut self, from: Point, to: Point, colour: Rgb888) {
-        self.shape(Line::new(from, to).into_styled(PrimitiveStyle::with_stroke(colour, 1)));
-    }
-
-    fn label(&mut self, text: &str, at: Point, alignment: Alignment) {
-        self.shape(Text::with_alignment(text, at, MonoTextStyle::new(&FONT_7X13, INK), alignment));
-    }
-}
-
-impl OriginDimensions for Picture {
-    fn size(&self) -> Size {
-        Size::new(self.width, self.height)
-    }
-}
-
-impl DrawTarget for Picture {
-    type Color = Rgb888;
-    type Error = Infallible;
-
-    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
-        for Pixel(point, colour) in pixels {
-            if let Some(index) = self.index(point.x, point.y) {
-                self.pixels[index] = colour;
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Writes a PNG.
-///
-/// # Errors
-/// What the file system or the encoder says.
-pub fn write_png(path: &Path, picture: &Picture) -> std::io::Result<()> {
-    let file = std::io::BufWriter::new(std::fs::File::create(path)?);
-    let mut encoder = png::Encoder::new(file, picture.width, picture.height);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header()?;
-    let bytes: Vec<u8> = picture.pixels.iter().flat_map(|colour| [colour.r(), colour.g(), colour.b()]).collect();
-    writer.write_image_data(&bytes)?;
-    Ok(writer.finish()?)
-}
-
-/// Pixels to metres and back: the frame's origin at `origin`, x up, y to the left.
-struct View {
-    origin: Point,
-    pixels_per_m: f64,
-}
-
-impl View {
-    fn pixel(&self, point_m: Vector2<f64>) -> Point {
-        let right = (-point_m.y * self.pixels_per_m).round() as i32;
-        let up = (point_m.x * self.pixels_per_m).round() as i32;
-        Point::new(self.origin.x + right, self.origin.y - up)
-    }
-
-    fn point_m(&self, x: i32, y: i32) -> Vector2<f64> {
-        Vector2::new(f64::from(self.origin.y - y), f64::from(self.origin.x - x)) / self.pixels_per_m
-    }
-}
-
-/// For every degree of azimuth the directions to look at: the nearest one, and in a grid with elevations all that are
-/// as near, so that the picture shows the largest value over elevation.
-struct Azimuths {
-    first_deg: i32,
-    directions: Vec<Vec<usize>>,
-}
-
-impl Azimuths {
-    fn new(grid: &PolarGrid) -> Self {
-        let azimuths: Vec<f64> = grid.directions().iter().map(|direction| direction.azimuth_rad.to_degrees()).collect();
-        let mut sorted = azimuths.clone();
-        sorted.sort_by(f64::total_cmp);
-        let gaps = sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > 1e-6);
-        let reach_deg = gaps.fold(0.0, f64::max).clamp(1.0, 10.0) * 0.75;
-        let nearest = |degree: i32| {
-            let distance = |azimuth: f64| (azimuth - f64::from(degree) / 4.0).abs();
-            let best = azimuths.iter().copied().map(distance).fold(f64::INFINITY, f64::min);
-            let near = azimuths.iter().enumerate().filter(|(_, azimuth)| distance(**azimuth) <= best + 1e-6);
-            if best <= reach_deg { near.map(|(index, _)| index).collect() } else { Vec::new() }
-        };
-        Self { first_deg: -720, directions: (-720..=720).map(nearest).collect() }
-    }
-
-    /// Cells at a point of the sensor frame; none outside the grid.
-    fn cells<'a>(&'a self, grid: &'a PolarGrid, point_m: Vector2<f64>) -> impl Iterator<Item = usize> + 'a {
-        let (range_m, bearing_rad) = polar_from_cartesian(point_m);
-        let quarter_degree = (bearing_rad.to_degrees() * 4.0).round() as i32;
-        let directions = self.directions.get((quarter_degree - self.first_deg) as usize).map_or(&[][..], Vec::as_slice);
-        let range = grid.nearest_range_index(range_m);
-        range.into_iter().flat_map(move |range| directions.iter().map(move |direction| grid.cell(*direction, range)))
-    }
-}
+pub(super) const DYNAMIC_RANGE_DB: f64 = 50.0;
+pub(super) const MARGIN_PX: i32 = 36;
 
 /// Draws an energyscape from above, sensor at the bottom, in decibels of full scale with a colour bar.
 #[must_use]
 pub fn render_energyscape(energyscape: &Energyscape) -> Picture {
-    let grid = &energyscape.grid;
-    let range_max_m = grid.range_m(grid.range_count() - 1);
     let (radius_px, bar_px) = (400, 80);
     let mut picture = Picture::new((2 * (radius_px + MARGIN_PX) + bar_px) as u32, (radius_px + 2 * MARGIN_PX) as u32);
-    let view = View {
-        origin: Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX),
-        pixels_per_m: f64::from(radius_px) / range_max_m,
-    };
-    let peak = f64::from(energyscape.peak().1).max(1e-9);
-    let top_db = (decibels(peak) / 5.0).ceil() * 5.0;
+    let top_db = top_db([energyscape]);
+    picture.paste(&fan(radius_px, energyscape, top_db), Point::new(0, 0));
+    colour_bar(&mut picture, 2 * (radius_px + MARGIN_PX), radius_px, top_db);
+    picture
+}
+
+/// The upper end of a scale that holds the loudest cell of all.
+pub(super) fn top_db<'a>(energyscapes: impl IntoIterator<Item = &'a Energyscape>) -> f64 {
+    let peak = energyscapes.into_iter().map(|energyscape| f64::from(energyscape.peak().1)).fold(1e-9, f64::max);
+    (decibels(peak.min(1e9)) / 5.0).ceil() * 5.0
+}
+
+/// An energyscape's half disc with its rings and numbers, a picture of [`fan_size_px`].
+pub(super) fn fan(radius_px: i32, energyscape: &Energyscape, top_db: f64) -> Picture {
+    let grid = &energyscape.grid;
+    let range_max_m = grid.range_m(grid.range_count() - 1);
+    let (width, height) = fan_size_px(radius_px);
+    let mut picture = Picture::new(width as u32, height as u32);
+    let origin = Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX);
+    let view = View::robot(origin, f64::from(radius_px) / range_max_m);
     let azimuths = Azimuths::new(grid);
-    for y in 0..=view.origin.y {
-        for x in 0..2 * (radius_px + MARGIN_PX) {
+    for y in 0..=origin.y {
+        for x in 0..width {
             let values = azimuths.cells(grid, view.point_m(x, y)).map(|cell| energyscape.values[cell]);
             if let Some(value) = values.reduce(f32::max) {
                 let colour = heat((decibels(f64::from(value)) - top_db) / DYNAMIC_RANGE_DB + 1.0);
@@ -179,14 +56,18 @@ pub fn render_energyscape(energyscape: &Energyscape) -> Picture {
             }
         }
     }
-    range_rings(&mut picture, &view, range_max_m);
+    half_rings(&mut picture, &view, range_max_m);
     for degrees in [-60, -30, 0, 30, 60] {
         let bearing_rad = f64::from(degrees).to_radians();
         let at = view.pixel(Vector2::new(bearing_rad.cos(), bearing_rad.sin()) * (range_max_m * 1.045));
         picture.label(&format!("{degrees}"), at, Alignment::Center);
     }
-    colour_bar(&mut picture, 2 * (radius_px + MARGIN_PX), radius_px, top_db);
     picture
+}
+
+/// Width and height that a half disc takes with its numbers.
+pub(super) fn fan_size_px(radius_px: i32) -> (i32, i32) {
+    (2 * (radius_px + MARGIN_PX), radius_px + 2 * MARGIN_PX)
 }
 
 /// Draws a mask over the robot, from above: left of its x axis orange, right blue, seen cells outside the region pale.
@@ -197,10 +78,8 @@ pub fn render_mask(mask: &Mask, grid: &PolarGrid, sensor: &SensorSetup) -> Pictu
     let radius_px = 300;
     let side_px = 2 * (radius_px + MARGIN_PX);
     let mut picture = Picture::new(side_px as u32, side_px as u32);
-    let view = View {
-        origin: Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX),
-        pixels_per_m: f64::from(radius_px) / reach_m,
-    };
+    let origin = Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX);
+    let view = View::robot(origin, f64::from(radius_px) / reach_m);
     let azimuths = Azimuths::new(grid);
     for y in 0..side_px {
         for x in 0..side_px {
@@ -220,26 +99,44 @@ pub fn render_mask(mask: &Mask, grid: &PolarGrid, sensor: &SensorSetup) -> Pictu
     picture.shape(Circle::with_center(place, 9).into_styled(PrimitiveStyle::with_fill(INK)));
     let nose = pose.parent_from_local(Vector2::new(reach_m * 0.06, 0.0));
     picture.line(place, view.pixel(nose), INK);
-    picture.line(view.origin, view.pixel(Vector2::new(reach_m * 0.1, 0.0)), INK);
+    picture.line(origin, view.pixel(Vector2::new(reach_m * 0.1, 0.0)), INK);
     let title = format!("{} of {}: left orange, right blue, robot looks up", mask.layer.as_str(), sensor.name);
     picture.label(&title, Point::new(8, 16), Alignment::Left);
     picture
 }
 
+/// Rings of round ranges about the origin and their numbers to its right.
 fn range_rings(picture: &mut Picture, view: &View, reach_m: f64) {
-    let step_m = [0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|step| reach_m / step <= 6.0).unwrap_or(20.0);
-    let mut ring_m = step_m;
-    while ring_m <= reach_m {
-        let diameter = (2.0 * ring_m * view.pixels_per_m).round() as u32;
-        let ring = Circle::with_center(view.origin, diameter);
+    for ring_m in ring_radii_m(reach_m) {
+        let diameter = (2.0 * ring_m * view.pixels_per_m()).round() as u32;
+        let ring = Circle::with_center(view.pixel(Vector2::zeros()), diameter);
         picture.shape(ring.into_styled(PrimitiveStyle::with_stroke(GRID_LINE, 1)));
-        let at = view.pixel(Vector2::new(0.0, -ring_m));
-        picture.label(&format!("{ring_m} m"), Point::new(at.x, view.origin.y + 14), Alignment::Center);
-        ring_m += step_m;
+        range_number(picture, view, ring_m);
     }
 }
 
-fn colour_bar(picture: &mut Picture, left: i32, height: i32, top_db: f64) {
+/// The upper halves of the same rings: below there is nothing that they could measure.
+fn half_rings(picture: &mut Picture, view: &View, reach_m: f64) {
+    for ring_m in ring_radii_m(reach_m) {
+        let radius_px = ring_m * view.pixels_per_m();
+        let (centre, reach) = (view.place(Vector2::zeros()), Vector2::new(radius_px + 1.0, radius_px + 1.0));
+        let on_ring = |place: Vector2<f64>| f64::from(u8::from(((place - centre).norm() - radius_px).abs() <= 0.5));
+        picture.cover((centre - reach, centre + Vector2::new(reach.x, 0.0)), GRID_LINE, on_ring);
+        range_number(picture, view, ring_m);
+    }
+}
+
+fn range_number(picture: &mut Picture, view: &View, ring_m: f64) {
+    let at = view.pixel(Vector2::new(0.0, -ring_m));
+    picture.label(&format!("{ring_m} m"), at + Point::new(0, 14), Alignment::Center);
+}
+
+fn ring_radii_m(reach_m: f64) -> impl Iterator<Item = f64> {
+    let step_m = [0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|step| reach_m / step <= 6.0).unwrap_or(20.0);
+    (1..=(reach_m / step_m).clamp(0.0, 100.0) as u32).map(move |index| f64::from(index) * step_m)
+}
+
+pub(super) fn colour_bar(picture: &mut Picture, left: i32, height: i32, top_db: f64) {
     for y in 0..height {
         let colour = heat(1.0 - f64::from(y) / f64::from(height));
         picture.line(Point::new(left, MARGIN_PX + y), Point::new(left + 16, MARGIN_PX + y), colour);
@@ -253,11 +150,11 @@ fn colour_bar(picture: &mut Picture, left: i32, height: i32, top_db: f64) {
     picture.label("dBFS", Point::new(left, MARGIN_PX - 12), Alignment::Left);
 }
 
-fn decibels(amplitude: f64) -> f64 {
+pub(super) fn decibels(amplitude: f64) -> f64 {
     20.0 * amplitude.max(1e-12).log10()
 }
 
-fn heat(share: f64) -> Rgb888 {
+pub(super) fn heat(share: f64) -> Rgb888 {
     let colour = colorous::INFERNO.eval_continuous(share.clamp(0.0, 1.0));
     Rgb888::new(colour.r, colour.g, colour.b)
 }
