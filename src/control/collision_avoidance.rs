@@ -15,13 +15,6 @@ const RANGE_RESOLUTION_M: f64 = 0.01;
 /// Way behind the footprint that must be seen and free for the next piece of reverse, besides that piece.
 const REVERSE_MARGIN_M: f64 = 0.1;
 
-/// By how much the nearest reflection must have come nearer, beyond what the robot itself drove, for its silence to mean that it is
-/// too near to be heard. The axis is right to 1 mm, a cell 5 mm deep; a walker makes this way in a tenth of a second.
-const APPROACH_MIN_M: f64 = 0.05;
-/// Time over which approaching is remembered.
-const APPROACH_S: f64 = 1.0;
-/// What comes nearer faster than this between two ping sets is another reflection.
-const APPROACH_MAX_M_S: f64 = 1.5;
 /// How much farther than the deaf range what falls silent may have been heard last: a walker's way between two ping sets.
 const HIDING_M: f64 = 0.15;
 
@@ -39,11 +32,9 @@ pub struct CollisionAvoidance {
     /// +1 turning left, -1 right; held while the layer is on.
     held_turn: Option<f64>,
     last_turn: Option<f64>,
-    /// Distance of the nearest reflection of all regions when it was heard last, and how much nearer it came of itself.
-    last_m: Option<f64>,
-    approached_m: f64,
     /// Range at which the nearest reflection of the CA region was heard last.
     last_range_m: f64,
+    /// Whether silence would mean that it is too near to be heard.
     hides: bool,
     /// Turned since then; what was ahead is abeam after a quarter turn.
     turned_unheard_rad: f64,
@@ -64,8 +55,6 @@ impl CollisionAvoidance {
             run: 0,
             held_turn: None,
             last_turn: None,
-            last_m: None,
-            approached_m: 0.0,
             last_range_m: 0.0,
             hides: false,
             turned_unheard_rad: 0.0,
@@ -90,34 +79,17 @@ impl CollisionAvoidance {
     /// Whether something that came nearer of itself fell silent because it is now nearer than any sensor hears; it counts as being
     /// there until the robot has turned away from it.
     fn hides_too_near(&mut self, situation: &Situation, heard: bool) -> bool {
-        self.watch_approach(situation);
         if heard {
             if let Some(nearest) = situation.cues.collision.nearest {
                 self.last_range_m = nearest.range_m;
             }
             self.turned_unheard_rad = 0.0;
             // Kept as it was when the last echo was heard: silence is no departure.
-            self.hides = self.approached_m >= APPROACH_MIN_M && self.last_range_m <= DEAF_RANGE_M + HIDING_M;
+            self.hides = situation.approaching && self.last_range_m <= DEAF_RANGE_M + HIDING_M;
             return false;
         }
         self.turned_unheard_rad += situation.last.angular_rad_s.abs() * situation.elapsed_s;
         self.switch.is_on() && self.hides && self.turned_unheard_rad < std::f64::consts::FRAC_PI_2
-    }
-
-    /// Adds up by how much the nearest reflection came nearer, less what the robot drove; a turn brings nothing nearer to a disc.
-    fn watch_approach(&mut self, situation: &Situation) {
-        let cues = situation.cues;
-        let nearest = [cues.collision.nearest, cues.obstacle.nearest, cues.corridor.nearest];
-        let nearest_m = nearest.iter().flatten().map(|nearest| nearest.distance_m).min_by(f64::total_cmp);
-        let elapsed_s = situation.elapsed_s;
-        self.approached_m *= (1.0 - elapsed_s / APPROACH_S).max(0.0);
-        if let (Some(before_m), Some(now_m)) = (self.last_m, nearest_m) {
-            let nearer_m = before_m - now_m - situation.last.linear_m_s.abs() * elapsed_s;
-            if nearer_m > 0.0 && nearer_m <= APPROACH_MAX_M_S * elapsed_s {
-                self.approached_m += nearer_m;
-            }
-        }
-        self.last_m = nearest_m;
     }
 
     /// Whether one more command to reverse stays within the budget and within what is seen behind, however long it lives.

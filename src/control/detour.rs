@@ -8,7 +8,7 @@
 //! speeds up the robot by itself.
 
 use super::default_regions::DEAF_RANGE_M;
-use super::layer::DRIVING_MIN_M_S;
+use super::layer::is_driving;
 use crate::geometry::Pose2;
 use crate::signal::Velocity;
 use nalgebra::Vector2;
@@ -18,8 +18,9 @@ use std::f64::consts::FRAC_PI_2;
 const PLACES_MAX: usize = 12;
 /// A reflection this near to a kept one is the same.
 const SAME_PLACE_M: f64 = 0.1;
-/// Longest time that a place is kept after it was heard last.
-const KEPT_S: f64 = 15.0;
+/// Longest time that a place is kept after it was heard last: what a robot needs to turn away and drive past, at walking pace.
+const KEPT_S: f64 = 4.0;
+const KEPT_S_M: f64 = 10.0;
 /// Way beyond two robot radii after which a place is forgotten.
 const KEPT_M: f64 = 1.5;
 /// How steeply the way leads out where a place is nearer than half the lane: the angle at no distance at all.
@@ -44,6 +45,7 @@ pub(super) struct Detour {
     /// From here on a sensor at the rim hears what is ahead.
     heard_from_m: f64,
     kept_m: f64,
+    kept_s: f64,
     places: [Option<Place>; PLACES_MAX],
     last: Option<Vector2<f64>>,
 }
@@ -56,6 +58,7 @@ impl Detour {
             radius_m,
             heard_from_m: radius_m + DEAF_RANGE_M + SAME_PLACE_M,
             kept_m: 2.0 * radius_m + KEPT_M,
+            kept_s: KEPT_S + KEPT_S_M * radius_m,
             places: [None; PLACES_MAX],
             last: None,
         }
@@ -73,7 +76,7 @@ impl Detour {
         for slot in &mut self.places {
             *slot = slot.and_then(|place| {
                 let place = Place { age_s: place.age_s + elapsed_s, travelled_m: place.travelled_m + moved_m, ..place };
-                (place.age_s <= KEPT_S && place.travelled_m <= self.kept_m).then_some(place)
+                (place.age_s <= self.kept_s && place.travelled_m <= self.kept_m).then_some(place)
             });
         }
         for heard_m in heard_m.into_iter().flatten().filter(|point_m| point_m.x.is_finite() && point_m.y.is_finite()) {
@@ -112,7 +115,7 @@ impl Detour {
 
     /// The wanted velocity without the turn that would point the way at a kept place. A turn on the spot runs into nothing and passes.
     pub(super) fn guard(&self, pose: &Pose2, wanted: Velocity) -> Velocity {
-        if wanted.linear_m_s.abs() < DRIVING_MIN_M_S {
+        if !is_driving(wanted) {
             return wanted;
         }
         let turned = Pose2 { heading_rad: pose.heading_rad + LOOK_AHEAD_S * wanted.angular_rad_s, ..*pose };
@@ -161,7 +164,7 @@ mod tests {
     fn places_are_forgotten_after_a_while_and_after_a_way() {
         let mut detour = after_a_box_ahead();
         let pose = at(0.0, 0.0, 1.05);
-        for _ in 0..149 {
+        for _ in 0..58 {
             detour.observe(&pose, [None; 2], 0.1);
         }
         assert_eq!(detour.guard(&pose, TURN_RIGHT).angular_rad_s, 0.0);

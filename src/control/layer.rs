@@ -11,6 +11,8 @@ pub struct Situation<'a> {
     pub cues: &'a Cues,
     /// The wanted velocity (V_i, omega_i), finite and within the platform's limits, without turns back to what was avoided.
     pub wanted: Velocity,
+    /// Whether the nearest reflection came nearer of itself lately.
+    pub approaching: bool,
     /// omega_i as it was asked for.
     pub asked_rad_s: f64,
     /// The velocity commanded last.
@@ -19,16 +21,24 @@ pub struct Situation<'a> {
     pub elapsed_s: f64,
 }
 
-/// Wanted speed below which the robot only turns.
-pub(super) const DRIVING_MIN_M_S: f64 = 0.01;
+/// Wanted speed, and radius of the wanted turn, below which the robot only turns.
+const DRIVING_MIN_M_S: f64 = 0.01;
+const TURN_RADIUS_MIN_M: f64 = 0.1;
 
 impl Situation<'_> {
     /// Whether driving is wanted, not only a turn on the spot. Such a turn runs into nothing, and steering against it would
     /// hold a robot for ever that turns to get away; the layers that bend a way leave it as it was wanted.
     #[must_use]
     pub fn is_driving(&self) -> bool {
-        self.wanted.linear_m_s.abs() >= DRIVING_MIN_M_S
+        is_driving(self.wanted)
     }
+}
+
+/// Whether a velocity drives somewhere, not only turns on the spot.
+#[must_use]
+pub(super) fn is_driving(wanted: Velocity) -> bool {
+    let speed_m_s = wanted.linear_m_s.abs();
+    speed_m_s >= DRIVING_MIN_M_S && speed_m_s >= TURN_RADIUS_MIN_M * wanted.angular_rad_s.abs()
 }
 
 /// What a layer wants.

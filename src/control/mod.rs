@@ -4,6 +4,7 @@
 //! [`Decision`] with its layer and cause. The order of the layers is [`layers`], and nowhere else. No I/O, no randomness, no
 //! clock of its own: the same inputs give the same decisions.
 
+mod approach;
 mod collision_avoidance;
 mod corridor_following;
 pub mod default_regions;
@@ -27,6 +28,7 @@ pub use platform::PlatformLimits;
 use crate::geometry::Pose2;
 use crate::signal::{Cause, Cues, Decision, LayerName, Velocity};
 use crate::time::Stamp;
+use approach::Approach;
 use detour::Detour;
 use progress::{Avoidance, Progress, WayOut};
 use std::time::Duration;
@@ -64,6 +66,7 @@ pub struct Controller {
     max_age: Duration,
     layers: Vec<Box<dyn BehaviourLayer>>,
     progress: Progress,
+    approach: Approach,
     detour: Detour,
     /// The side to which CA turned on the last ping set, +1 or -1, if it acted.
     avoided: Option<f64>,
@@ -81,6 +84,7 @@ impl Controller {
             max_age: MAX_AGE,
             layers: layers(params, platform),
             progress: Progress::new(&params.stuck),
+            approach: Approach::default(),
             detour: Detour::new(half_lane_m(params, platform), platform.radius_m),
             avoided: None,
             last: Velocity::ZERO,
@@ -116,11 +120,14 @@ impl Controller {
             return self.stop(cues);
         }
         let wanted = limits::within_platform(wanted, &self.platform);
+        self.approach.observe(cues, self.last, elapsed_s);
+        let approaching = self.approach.is_seen();
         let collision = f64::from(cues.collision.energy);
         let is_clear = !layer::is_above(collision, self.params.collision_avoidance.release);
         let avoidance = Avoidance { turn: self.avoided, is_clear };
         self.progress.observe(odometry, self.last, wanted, &avoidance, elapsed_s);
-        let avoided = cues.collision.nearest.filter(|_| self.avoided.is_some());
+        // Who walks does not stay there.
+        let avoided = cues.collision.nearest.filter(|_| self.avoided.is_some() && !approaching);
         let beside = cues.obstacle.nearest.filter(|nearest| {
             self.detour.is_under_way() && nearest.distance_m <= DETOUR_REACH_M && self.obstacle_is_heard(cues)
         });
@@ -131,7 +138,7 @@ impl Controller {
         }
         let asked_rad_s = wanted.angular_rad_s;
         let wanted = self.detour.guard(&self.progress.pose(), wanted);
-        let situation = Situation { cues, wanted, asked_rad_s, last: self.last, elapsed_s };
+        let situation = Situation { cues, wanted, asked_rad_s, approaching, last: self.last, elapsed_s };
         let (layer, output) = self.ask_layers(&situation);
         let avoids = layer == LayerName::CollisionAvoidance && !self.progress.is_stuck();
         self.avoided = avoids.then(|| output.velocity.angular_rad_s.signum());
@@ -155,6 +162,7 @@ impl Controller {
     pub fn reset(&mut self) {
         self.layers.iter_mut().for_each(|layer| layer.reset());
         self.progress = Progress::new(&self.params.stuck);
+        self.approach = Approach::default();
         self.detour = Detour::new(half_lane_m(&self.params, &self.platform), self.platform.radius_m);
         self.avoided = None;
         (self.last, self.last_now) = (Velocity::ZERO, None);

@@ -1,0 +1,80 @@
+//! Whether the nearest reflection comes nearer of itself: somebody walks towards the robot.
+//!
+//! Goes in: the nearest reflections of a ping set and what was driven since the last one. Comes out: a yes for as long as it
+//! is worth remembering. The footprint is a disc, so the robot's own turning brings nothing nearer; its driving brings things
+//! nearer by at most its speed, and what is more than that has moved. Knows no law and keeps no places.
+
+use crate::signal::{Cues, Velocity};
+
+/// What must be left over between two ping sets: the range axis is right to 1 mm, and a cell is 5 mm deep. A walker makes 3 cm
+/// at 0.3 m/s.
+const STEP_MIN_M: f64 = 0.015;
+/// What comes nearer faster than this is another reflection.
+const SPEED_MAX_M_S: f64 = 1.5;
+/// Ping sets in a row that must agree: one is what a new echo on the nearer side of the old one looks like.
+const RUN_MIN: u32 = 2;
+/// How long it is remembered.
+const KEPT_S: f64 = 1.0;
+
+/// Watches the nearest reflection.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Approach {
+    last_m: Option<f64>,
+    run: u32,
+    left_s: f64,
+}
+
+impl Approach {
+    /// Takes one ping set; `last` is the velocity commanded since the one before.
+    pub(super) fn observe(&mut self, cues: &Cues, last: Velocity, elapsed_s: f64) {
+        let nearest = [cues.collision.nearest, cues.obstacle.nearest, cues.corridor.nearest];
+        let nearest_m = nearest.iter().flatten().map(|nearest| nearest.distance_m).min_by(f64::total_cmp);
+        let own_m = last.linear_m_s.abs() * elapsed_s;
+        let nearer_m = self.last_m.zip(nearest_m).map(|(before_m, now_m)| before_m - now_m - own_m);
+        let comes = nearer_m.is_some_and(|nearer_m| (STEP_MIN_M..=SPEED_MAX_M_S * elapsed_s).contains(&nearer_m));
+        // Silence is no departure: what came may be too near to be heard.
+        self.run = if comes { self.run.saturating_add(1) } else { self.run * u32::from(nearest_m.is_none()) };
+        self.left_s = if self.run >= RUN_MIN { KEPT_S } else { self.left_s - elapsed_s };
+        self.last_m = nearest_m;
+    }
+
+    /// Whether something came nearer of itself within the last second.
+    pub(super) fn is_seen(&self) -> bool {
+        self.left_s > 0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::signal::{LayerCue, NearestReflection};
+
+    fn seen(distances_m: &[f64], speed_m_s: f64) -> bool {
+        let mut approach = Approach::default();
+        for &distance_m in distances_m {
+            let nearest = NearestReflection {
+                sensor_index: 0,
+                range_m: 0.4,
+                bearing_rad: 0.0,
+                distance_m,
+                place_m: [0.5, 0.0],
+                energy: 0.1,
+                side: 1,
+                lead_m: f64::INFINITY,
+            };
+            let corridor = LayerCue { nearest: Some(nearest), ..LayerCue::default() };
+            approach.observe(&Cues { corridor, ..Cues::default() }, Velocity::forward_m_s(speed_m_s), 0.1);
+        }
+        approach.is_seen()
+    }
+
+    #[test]
+    fn a_walker_is_told_from_a_wall_that_the_robot_drives_to() {
+        assert!(seen(&[0.50, 0.46, 0.42], 0.0), "the robot stands");
+        assert!(seen(&[0.50, 0.43, 0.36], 0.3), "the robot drives too");
+        assert!(!seen(&[0.50, 0.47, 0.44, 0.41], 0.3), "a wall");
+        assert!(!seen(&[0.50, 0.46, 0.46, 0.42], 0.0), "an echo that flickers");
+        assert!(!seen(&[0.50, 0.25, 0.02], 0.0), "other echoes");
+        assert!(!seen(&[0.50, f64::NAN, 0.42], 0.0));
+    }
+}
