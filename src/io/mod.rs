@@ -8,7 +8,7 @@
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`source`] | where ping sets come from |
-//! | [`recording_file`], [`picture`] | files in, pictures out |
+//! | [`recording_file`], [`picture`], [`plot_layouts`] | files in, pictures out |
 
 pub mod clients;
 pub mod daemon_topics;
@@ -17,6 +17,7 @@ pub mod error;
 pub mod node;
 pub mod params;
 pub mod picture;
+pub mod plot_layouts;
 pub mod raw_topics;
 pub mod recording_file;
 mod root;

@@ -33,7 +33,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    fn new(width: u32, height: u32) -> Self {
+    pub(super) fn new(width: u32, height: u32) -> Self {
         Self { width, height, pixels: vec![BACKGROUND; width as usize * height as usize] }
     }
 
@@ -57,15 +57,15 @@ impl Picture {
         inside.then(|| y as usize * self.width as usize + x as usize)
     }
 
-    fn shape(&mut self, drawn: impl Drawable<Color = Rgb888>) {
+    pub(super) fn shape(&mut self, drawn: impl Drawable<Color = Rgb888>) {
         let Ok(_) = drawn.draw(self);
     }
 
-    fn line(&mut self, from: Point, to: Point, colour: Rgb888) {
+    pub(super) fn line(&mut self, from: Point, to: Point, colour: Rgb888) {
         self.shape(Line::new(from, to).into_styled(PrimitiveStyle::with_stroke(colour, 1)));
     }
 
-    fn label(&mut self, text: &str, at: Point, alignment: Alignment) {
+    pub(super) fn label(&mut self, text: &str, at: Point, alignment: Alignment) {
         self.shape(Text::with_alignment(text, at, MonoTextStyle::new(&FONT_7X13, INK), alignment));
     }
 }
@@ -95,8 +95,15 @@ impl DrawTarget for Picture {
 /// # Errors
 /// What the file system or the encoder says.
 pub fn write_png(path: &Path, picture: &Picture) -> std::io::Result<()> {
-    let file = std::io::BufWriter::new(std::fs::File::create(path)?);
-    let mut encoder = png::Encoder::new(file, picture.width, picture.height);
+    encode_png(std::io::BufWriter::new(std::fs::File::create(path)?), picture)
+}
+
+/// Writes a PNG to wherever its bytes are to go.
+///
+/// # Errors
+/// What the writer or the encoder says.
+pub fn encode_png(to: impl std::io::Write, picture: &Picture) -> std::io::Result<()> {
+    let mut encoder = png::Encoder::new(to, picture.width, picture.height);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
     let mut writer = encoder.write_header()?;
@@ -106,19 +113,19 @@ pub fn write_png(path: &Path, picture: &Picture) -> std::io::Result<()> {
 }
 
 /// Pixels to metres and back: the frame's origin at `origin`, x up, y to the left.
-struct View {
-    origin: Point,
-    pixels_per_m: f64,
+pub(super) struct View {
+    pub(super) origin: Point,
+    pub(super) pixels_per_m: f64,
 }
 
 impl View {
-    fn pixel(&self, point_m: Vector2<f64>) -> Point {
+    pub(super) fn pixel(&self, point_m: Vector2<f64>) -> Point {
         let right = (-point_m.y * self.pixels_per_m).round() as i32;
         let up = (point_m.x * self.pixels_per_m).round() as i32;
         Point::new(self.origin.x + right, self.origin.y - up)
     }
 
-    fn point_m(&self, x: i32, y: i32) -> Vector2<f64> {
+    pub(super) fn point_m(&self, x: i32, y: i32) -> Vector2<f64> {
         Vector2::new(f64::from(self.origin.y - y), f64::from(self.origin.x - x)) / self.pixels_per_m
     }
 }

@@ -11,8 +11,10 @@ pub mod handoff;
 pub mod health;
 pub mod latency;
 pub mod pipeline;
+pub mod proving;
 pub mod regions;
 pub mod supervisor;
+pub mod sweep;
 pub mod trial;
 pub mod wiring;
 
@@ -120,6 +122,7 @@ pub fn run(
     let topics = DaemonTopics::open(&ipc, &names, &cells)?;
     let options = ImagerOptions { threads: None, gpu_deadline_ms: config.safety.gpu_deadline().as_millis() as u64 };
     let imager = Imager::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), prefer, options)?;
+    imager.announce();
     let source = open_source(config, &setup, source, &ipc)?;
     log::info!("source: {}", source.describe());
     let empty = Delivered { pings: empty_ping_set(&setup), wanted: None };
