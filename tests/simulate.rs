@@ -179,6 +179,15 @@ fn a_trajectory_has_units_in_its_header_and_a_row_a_ping_set() {
 }
 
 #[test]
+fn drives_are_drawn_as_heat_map_and_as_ways() {
+    let room = Room::with_world(CORRIDOR);
+    room.simulate(&["--layout", "1,4", "--plot", "heat.png", "--paths", "ways.png"]).assert().success();
+    for name in ["heat.png", "ways.png"] {
+        assert!(std::fs::read(room.path(name)).expect("picture").starts_with(b"\x89PNG"), "{name}");
+    }
+}
+
+#[test]
 fn a_lost_sensor_shows_in_the_states() {
     let room = Room::with_world(CORRIDOR);
     room.simulate(&["--lose", "left@0.7", "--trajectories", "tracks"]).assert().success();

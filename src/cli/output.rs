@@ -1,7 +1,8 @@
 //! Writing results: NumPy arrays, progress, folders. Every file appears complete or not at all.
 
 use super::{Failure, exit};
-use crate::io::picture::{Picture, encode_png};
+use crate::io::encode_png;
+use crate::io::picture::Picture;
 use indicatif::{ProgressBar, ProgressStyle};
 use npyz::WriterBuilder as _;
 use std::fs::File;

@@ -9,11 +9,13 @@ mod sweep;
 mod trajectory;
 
 use super::args::SimulateArguments;
-use super::output::{NewFile, make_folder, print_line, progress};
+use super::output::{NewFile, make_folder, print_line, progress, write_picture};
 use super::run::service_failure;
 use super::{Failure, exit};
 use crate::imaging::backend::BackendKind;
 use crate::imaging::params::Prefer;
+use crate::io::plot::{HeatMapOptions, PathsOptions, PlottedRun, heat_map, paths, paths_by_layout};
+use crate::service::plots::plotted_run;
 use crate::service::proving::{Entrant, Programme, Run, Told};
 use crate::sim::{SimParams, World};
 use serde_json::{Value, json};
@@ -111,6 +113,11 @@ impl<'a> Proving<'a> {
     fn world_name(&self) -> String {
         self.arguments.world.display().to_string()
     }
+
+    /// What a picture calls the world.
+    fn world_title(&self) -> String {
+        self.arguments.world.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    }
 }
 
 /// Drives, prints and writes.
@@ -134,7 +141,29 @@ fn prove(proving: &Proving) -> Result<(), Failure> {
         "failed": report::failures(&runs),
         "summary": report::summary(&runs),
     }))?;
+    draw(proving, &runs)?;
     first_failure(&runs)
+}
+
+/// The pictures that were asked for, of all runs together.
+fn draw(proving: &Proving, runs: &[Run]) -> Result<(), Failure> {
+    let plotted: Vec<PlottedRun> =
+        runs.iter().filter_map(|run| run.outcome.as_ref().ok().map(|trial| plotted_run(&run.layout, trial))).collect();
+    let title = proving.world_title();
+    if let Some(path) = &proving.arguments.plot {
+        let radii_m = proving.entrants.iter().map(|entrant| entrant.rig.config().platform.radius_m);
+        // Where robots of several sizes drove, what the smallest covered was covered by all.
+        let footprint_radius_m = radii_m.fold(f64::INFINITY, f64::min);
+        let options = HeatMapOptions { title: title.clone(), footprint_radius_m, ..HeatMapOptions::default() };
+        write_picture(path, &heat_map(&proving.world, &plotted, &options))?;
+    }
+    if let Some(path) = &proving.arguments.paths {
+        let options = PathsOptions { title, ..PathsOptions::default() };
+        let several = proving.entrants.len() > 1;
+        let picture = if several { paths_by_layout } else { paths }(&proving.world, &plotted, &options);
+        write_picture(path, &picture)?;
+    }
+    Ok(())
 }
 
 /// One error for all runs that could not be driven, with the code of the first.

@@ -2,133 +2,24 @@
 //!
 //! In: an image or mask on its grid. Out: an RGB picture and its PNG. Never scales data, only colours.
 
+pub use super::canvas::{Picture, write_png};
+
+use super::canvas::{GRID_LINE, INK, View};
 use crate::geometry::polar_from_cartesian;
 use crate::sensor::SensorSetup;
 use crate::signal::{Energyscape, Mask, PolarGrid};
-use embedded_graphics::mono_font::{MonoTextStyle, ascii::FONT_7X13};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle};
-use embedded_graphics::text::{Alignment, Text};
+use embedded_graphics::primitives::{Circle, PrimitiveStyle};
+use embedded_graphics::text::Alignment;
 use nalgebra::Vector2;
-use std::convert::Infallible;
-use std::path::Path;
 
-const BACKGROUND: Rgb888 = Rgb888::new(255, 255, 255);
 const SEEN: Rgb888 = Rgb888::new(244, 244, 240);
 const LEFT: Rgb888 = Rgb888::new(230, 126, 34);
 const RIGHT: Rgb888 = Rgb888::new(41, 121, 185);
-const INK: Rgb888 = Rgb888::new(60, 60, 60);
-const GRID_LINE: Rgb888 = Rgb888::new(150, 150, 150);
 /// Decibels between the brightest and the darkest colour.
 const DYNAMIC_RANGE_DB: f64 = 50.0;
 const MARGIN_PX: i32 = 36;
-
-/// An RGB picture.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
-    width: u32,
-    height: u32,
-    pixels: Vec<Rgb888>,
-}
-
-impl Picture {
-    pub(super) fn new(width: u32, height: u32) -> Self {
-        Self { width, height, pixels: vec![BACKGROUND; width as usize * height as usize] }
-    }
-
-    /// Width and height in pixels.
-    #[must_use]
-    pub fn size_px(&self) -> (u32, u32) {
-        (self.width, self.height)
-    }
-
-    /// Colour of a pixel, (0, 0) at the top left; `None` outside.
-    #[must_use]
-    pub fn pixel(&self, x: i32, y: i32) -> Option<[u8; 3]> {
-        self.index(x, y).map(|index| {
-            let colour = self.pixels[index];
-            [colour.r(), colour.g(), colour.b()]
-        })
-    }
-
-    fn index(&self, x: i32, y: i32) -> Option<usize> {
-        let inside = (0..self.width.cast_signed()).contains(&x) && (0..self.height.cast_signed()).contains(&y);
-        inside.then(|| y as usize * self.width as usize + x as usize)
-    }
-
-    pub(super) fn shape(&mut self, drawn: impl Drawable<Color = Rgb888>) {
-        let Ok(_) = drawn.draw(self);
-    }
-
-    pub(super) fn line(&mut self, from: Point, to: Point, colour: Rgb888) {
-        self.shape(Line::new(from, to).into_styled(PrimitiveStyle::with_stroke(colour, 1)));
-    }
-
-    pub(super) fn label(&mut self, text: &str, at: Point, alignment: Alignment) {
-        self.shape(Text::with_alignment(text, at, MonoTextStyle::new(&FONT_7X13, INK), alignment));
-    }
-}
-
-impl OriginDimensions for Picture {
-    fn size(&self) -> Size {
-        Size::new(self.width, self.height)
-    }
-}
-
-impl DrawTarget for Picture {
-    type Color = Rgb888;
-    type Error = Infallible;
-
-    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
-        for Pixel(point, colour) in pixels {
-            if let Some(index) = self.index(point.x, point.y) {
-                self.pixels[index] = colour;
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Writes a PNG.
-///
-/// # Errors
-/// What the file system or the encoder says.
-pub fn write_png(path: &Path, picture: &Picture) -> std::io::Result<()> {
-    encode_png(std::io::BufWriter::new(std::fs::File::create(path)?), picture)
-}
-
-/// Writes a PNG to wherever its bytes are to go.
-///
-/// # Errors
-/// What the writer or the encoder says.
-pub fn encode_png(to: impl std::io::Write, picture: &Picture) -> std::io::Result<()> {
-    let mut encoder = png::Encoder::new(to, picture.width, picture.height);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header()?;
-    let bytes: Vec<u8> = picture.pixels.iter().flat_map(|colour| [colour.r(), colour.g(), colour.b()]).collect();
-    writer.write_image_data(&bytes)?;
-    Ok(writer.finish()?)
-}
-
-/// Pixels to metres and back: the frame's origin at `origin`, x up, y to the left.
-pub(super) struct View {
-    pub(super) origin: Point,
-    pub(super) pixels_per_m: f64,
-}
-
-impl View {
-    pub(super) fn pixel(&self, point_m: Vector2<f64>) -> Point {
-        let right = (-point_m.y * self.pixels_per_m).round() as i32;
-        let up = (point_m.x * self.pixels_per_m).round() as i32;
-        Point::new(self.origin.x + right, self.origin.y - up)
-    }
-
-    pub(super) fn point_m(&self, x: i32, y: i32) -> Vector2<f64> {
-        Vector2::new(f64::from(self.origin.y - y), f64::from(self.origin.x - x)) / self.pixels_per_m
-    }
-}
 
 /// For every degree of azimuth the directions to look at: the nearest one, and in a grid with elevations all that are
 /// as near, so that the picture shows the largest value over elevation.
@@ -170,14 +61,12 @@ pub fn render_energyscape(energyscape: &Energyscape) -> Picture {
     let range_max_m = grid.range_m(grid.range_count() - 1);
     let (radius_px, bar_px) = (400, 80);
     let mut picture = Picture::new((2 * (radius_px + MARGIN_PX) + bar_px) as u32, (radius_px + 2 * MARGIN_PX) as u32);
-    let view = View {
-        origin: Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX),
-        pixels_per_m: f64::from(radius_px) / range_max_m,
-    };
+    let origin = Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX);
+    let view = View::robot(origin, f64::from(radius_px) / range_max_m);
     let peak = f64::from(energyscape.peak().1).max(1e-9);
     let top_db = (decibels(peak) / 5.0).ceil() * 5.0;
     let azimuths = Azimuths::new(grid);
-    for y in 0..=view.origin.y {
+    for y in 0..=origin.y {
         for x in 0..2 * (radius_px + MARGIN_PX) {
             let values = azimuths.cells(grid, view.point_m(x, y)).map(|cell| energyscape.values[cell]);
             if let Some(value) = values.reduce(f32::max) {
@@ -204,10 +93,8 @@ pub fn render_mask(mask: &Mask, grid: &PolarGrid, sensor: &SensorSetup) -> Pictu
     let radius_px = 300;
     let side_px = 2 * (radius_px + MARGIN_PX);
     let mut picture = Picture::new(side_px as u32, side_px as u32);
-    let view = View {
-        origin: Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX),
-        pixels_per_m: f64::from(radius_px) / reach_m,
-    };
+    let origin = Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX);
+    let view = View::robot(origin, f64::from(radius_px) / reach_m);
     let azimuths = Azimuths::new(grid);
     for y in 0..side_px {
         for x in 0..side_px {
@@ -227,21 +114,22 @@ pub fn render_mask(mask: &Mask, grid: &PolarGrid, sensor: &SensorSetup) -> Pictu
     picture.shape(Circle::with_center(place, 9).into_styled(PrimitiveStyle::with_fill(INK)));
     let nose = pose.parent_from_local(Vector2::new(reach_m * 0.06, 0.0));
     picture.line(place, view.pixel(nose), INK);
-    picture.line(view.origin, view.pixel(Vector2::new(reach_m * 0.1, 0.0)), INK);
+    picture.line(origin, view.pixel(Vector2::new(reach_m * 0.1, 0.0)), INK);
     let title = format!("{} of {}: left orange, right blue, robot looks up", mask.layer.as_str(), sensor.name);
     picture.label(&title, Point::new(8, 16), Alignment::Left);
     picture
 }
 
 fn range_rings(picture: &mut Picture, view: &View, reach_m: f64) {
+    let origin = view.pixel(Vector2::zeros());
     let step_m = [0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|step| reach_m / step <= 6.0).unwrap_or(20.0);
     let mut ring_m = step_m;
     while ring_m <= reach_m {
-        let diameter = (2.0 * ring_m * view.pixels_per_m).round() as u32;
-        let ring = Circle::with_center(view.origin, diameter);
+        let diameter = (2.0 * ring_m * view.pixels_per_m()).round() as u32;
+        let ring = Circle::with_center(origin, diameter);
         picture.shape(ring.into_styled(PrimitiveStyle::with_stroke(GRID_LINE, 1)));
         let at = view.pixel(Vector2::new(0.0, -ring_m));
-        picture.label(&format!("{ring_m} m"), Point::new(at.x, view.origin.y + 14), Alignment::Center);
+        picture.label(&format!("{ring_m} m"), Point::new(at.x, origin.y + 14), Alignment::Center);
         ring_m += step_m;
     }
 }

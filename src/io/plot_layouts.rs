@@ -3,12 +3,12 @@
 //!
 //! In: cards, best first. Out: an RGB picture. Judges nothing: the order, the words and what is seen are the caller's.
 
-use super::picture::{Picture, View};
+use super::canvas::{INK, Picture, View};
 use crate::geometry::Pose2;
 use crate::sensor::dead_zone::{HOUSING_DEPTH_M, HOUSING_WIDTH_M};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{Circle, PrimitiveStyle, Rectangle};
+use embedded_graphics::primitives::{PrimitiveStyle, Rectangle};
 use embedded_graphics::text::Alignment;
 use nalgebra::Vector2;
 
@@ -18,8 +18,9 @@ const LINE_PX: i32 = 15;
 const HEADING_PX: i32 = 46;
 const COLUMNS: usize = 4;
 const BAR_PX: i32 = 10;
+/// Length of the arrows that say where sensors look, as a share of what is drawn.
+const ARROW_SHARE: f64 = 0.16;
 
-const INK: Rgb888 = Rgb888::new(60, 60, 60);
 const FRAME: Rgb888 = Rgb888::new(200, 200, 200);
 const BODY: Rgb888 = Rgb888::new(255, 255, 255);
 const HOUSING: Rgb888 = Rgb888::new(20, 60, 110);
@@ -88,9 +89,7 @@ fn draw_card(picture: &mut Picture, card: &LayoutCard, corner: Point) {
     picture.label(&card.title, corner + Point::new(margin_px, LINE_PX), Alignment::Left);
     let top_left = corner + Point::new(margin_px, LINE_PX + 6);
     let centre = top_left + Point::new(DRAWING_PX / 2, DRAWING_PX / 2);
-    // The robot and at least as much around it as half a metre.
-    let reach_m = 1.6 * card.radius_m + 0.5;
-    let view = View { origin: centre, pixels_per_m: 0.5 * f64::from(DRAWING_PX) / reach_m };
+    let view = View::robot(centre, 0.5 * f64::from(DRAWING_PX) / reach_m(card.radius_m));
     for y in top_left.y..top_left.y + DRAWING_PX {
         for x in top_left.x..top_left.x + DRAWING_PX {
             let seen = (card.seen_by)(view.point_m(x, y)).min(SEEN.len() - 1);
@@ -108,29 +107,35 @@ fn draw_card(picture: &mut Picture, card: &LayoutCard, corner: Point) {
 }
 
 fn draw_robot(picture: &mut Picture, card: &LayoutCard, view: &View) {
-    let diameter = (2.0 * card.radius_m * view.pixels_per_m).round() as u32;
-    let disc = Circle::with_center(view.origin, diameter);
-    picture.shape(disc.into_styled(PrimitiveStyle::with_fill(BODY)));
-    picture.shape(disc.into_styled(PrimitiveStyle::with_stroke(INK, 1)));
+    let (centre, radius_px) = (view.place(Vector2::zeros()), card.radius_m * view.pixels_per_m());
+    picture.disc(centre, radius_px, BODY);
+    picture.ring(centre, radius_px, 1.5, INK);
     // An arrow ahead, since a disc has no front.
     let tip = Vector2::new(0.9 * card.radius_m, 0.0);
     for side in [-1.0, 1.0] {
         let wing = Vector2::new(0.65 * card.radius_m, side * 0.18 * card.radius_m);
-        picture.line(view.pixel(wing), view.pixel(tip), INK);
+        picture.stroke(view.place(wing), view.place(tip), 1.5, INK);
     }
+    let (arrow_m, half_width_m) = (ARROW_SHARE * reach_m(card.radius_m), 0.5 * HOUSING_WIDTH_M);
     for pose in &card.sensors {
-        for y in -200..=200 {
-            let y_m = f64::from(y) / 400.0 * HOUSING_WIDTH_M;
-            let across = |x_m: f64| view.pixel(pose.parent_from_local(Vector2::new(x_m, y_m)));
-            picture.line(across(-HOUSING_DEPTH_M), across(0.0), HOUSING);
-        }
-        let look = |x_m: f64, y_m: f64| view.pixel(pose.parent_from_local(Vector2::new(x_m, y_m)));
-        let ahead_m = 0.16 * (1.6 * card.radius_m + 0.5);
-        picture.line(look(0.0, 0.0), look(ahead_m, 0.0), CONTACT);
+        let at = |x_m: f64, y_m: f64| view.place(pose.parent_from_local(Vector2::new(x_m, y_m)));
+        let middle = at(-0.5 * HOUSING_DEPTH_M, 0.0);
+        let reach = Vector2::repeat(HOUSING_WIDTH_M * view.pixels_per_m() + 1.0);
+        picture.cover((middle - reach, middle + reach), HOUSING, |place| {
+            let local_m = pose.local_from_parent(view.point_m(place.x as i32, place.y as i32));
+            let inside_m = (local_m.x + HOUSING_DEPTH_M).min(-local_m.x).min(half_width_m - local_m.y.abs());
+            inside_m * view.pixels_per_m() + 0.5
+        });
+        picture.stroke(at(0.0, 0.0), at(arrow_m, 0.0), 1.5, CONTACT);
         for side in [-0.25, 0.25] {
-            picture.line(look(ahead_m, 0.0), look(0.7 * ahead_m, side * ahead_m), CONTACT);
+            picture.stroke(at(arrow_m, 0.0), at(0.7 * arrow_m, side * arrow_m), 1.5, CONTACT);
         }
     }
+}
+
+/// The robot and at least half a metre around it.
+fn reach_m(radius_m: f64) -> f64 {
+    1.6 * radius_m + 0.5
 }
 
 fn draw_bar(picture: &mut Picture, at: Point, ended: &[usize; 3]) {

@@ -11,6 +11,7 @@ pub mod handoff;
 pub mod health;
 pub mod latency;
 pub mod pipeline;
+pub mod plots;
 pub mod proving;
 pub mod regions;
 pub mod supervisor;

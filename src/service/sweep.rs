@@ -5,17 +5,18 @@
 //!
 //! A candidate has one to three sensors on the robot's deck, each within the footprint or at its rim. Three of four are
 //! mirror images of themselves about the robot's axis, as builders like them. What could not be built (housings in one
-//! another) or could not drive (too little of the way ahead is seen) is drawn anew.
+//! another) or could not drive (too little of the way ahead is seen, or the self-test fails) is drawn anew.
 
 use super::ServiceError;
 use super::proving::{Entrant, Run};
-use super::trial::{TrackPoint, TrialRig};
+use super::trial::{TrackPoint, TrialOptions, TrialRig};
 use crate::config::Config;
 use crate::geometry::{Pose2, polar_from_cartesian, wrap_angle_rad};
 use crate::parameter::ParameterError;
 use crate::sensor::dead_zone::{HOUSING_DEPTH_M, HOUSING_WIDTH_M};
 use crate::sensor::{MountParams, SensorParams};
 use crate::signal::{Direction, SENSORS_MAX};
+use crate::sim::World;
 use nalgebra::Vector2;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -74,13 +75,19 @@ fn draw_one(
         // A region that nothing sees makes a layout useless, not the sweep.
         let Ok(rig) = TrialRig::new(config) else { continue };
         let used = std::array::from_fn(|index| index < places.len());
-        if rig.masks().coverage(used).ahead_m >= rig.config().platform.radius_m {
+        if rig.masks().coverage(used).ahead_m >= rig.config().platform.radius_m && can_be_armed(&rig) {
             return Ok(Entrant { name: name.to_owned(), rig, losses: Vec::new() });
         }
     }
     let found = format!("{} m", config.platform.radius_m);
     let allowed = format!("a robot on which one of {DRAWS_MAX} random sensor layouts sees the way ahead");
     Err(ParameterError::new("platform.radius_m", found, allowed).into())
+}
+
+/// Whether the daemon's self-test passes in an empty world: sensors that shout into each other's faces fail it everywhere.
+fn can_be_armed(rig: &TrialRig) -> bool {
+    let empty = World { time_limit_s: 0.1, ..World::default() };
+    rig.run(empty, &TrialOptions::default(), &mut |_| false).is_ok()
 }
 
 /// A sensor's place and heading, robot frame: metres, degrees.

@@ -65,8 +65,8 @@ pub struct SimulateArguments {
     /// Draw the heat map of all drives over the world; with --sweep the best candidates instead.
     #[arg(long, value_name = "F.png")]
     pub plot: Option<PathBuf>,
-    /// Draw the way of each run, coloured by the layer that decided.
-    #[arg(long, value_name = "F.png")]
+    /// Draw the way of each run, coloured by the layer that decided; a panel for each layout.
+    #[arg(long, value_name = "F.png", conflicts_with = "sweep")]
     pub paths: Option<PathBuf>,
     /// Rank sensor layouts, drawing this many candidates beside those given.
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = SWEEP_DEFAULT, value_parser = clap::value_parser!(u64).range(0..=COUNT_MAX))]

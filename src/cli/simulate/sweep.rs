@@ -28,7 +28,10 @@ pub fn sweep(mut proving: Proving, drawn: u64) -> Result<(), Failure> {
         sweep::draw(base, drawn as usize, proving.arguments.seed).map_err(|error| service_failure(&error))?;
     proving.entrants.extend(candidates);
     let runs = proving.drive(|run| {
-        log::debug!("{}", report::line(run, proving.world.waypoints.len()));
+        match &run.outcome {
+            Ok(_) => log::debug!("{}", report::line(run, proving.world.waypoints.len())),
+            Err(error) => log::warn!("{}, seed {}: {error}", run.layout, run.seed),
+        }
         Ok(())
     })?;
     let ranking = sweep::rank(&proving.entrants, &runs);
@@ -154,7 +157,11 @@ fn draw(path: &Path, proving: &Proving, ranking: &[(usize, SweepScore)]) -> Resu
         .enumerate()
         .map(|(place, ((index, score), view))| card(place + 1, &proving.entrants[*index], score, view))
         .collect();
-    let heading = format!("Sensor layouts by rank in {}, {} runs each", proving.world_name(), proving.arguments.runs);
+    let runs = match proving.arguments.runs {
+        1 => "one run".to_owned(),
+        count => format!("{count} runs"),
+    };
+    let heading = format!("Sensor layouts by rank in {}, {runs} each", proving.world_title());
     write_picture(path, &render_layouts(&heading, &cards))
 }
 
@@ -164,7 +171,11 @@ fn card<'a>(
     score: &SweepScore,
     seen_by: &'a dyn Fn(Vector2<f64>) -> usize,
 ) -> LayoutCard<'a> {
-    let time = score.time_to_goal_s.map_or("no goal".to_owned(), |time_s| format!("goal in {time_s:.1} s"));
+    let time = match score.time_to_goal_s {
+        Some(time_s) => format!("goal in {time_s:.1} s"),
+        None if score.failed == score.runs => "cannot start".to_owned(),
+        None => "no goal".to_owned(),
+    };
     let metres = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2} m"));
     let coverage = &score.coverage;
     LayoutCard {

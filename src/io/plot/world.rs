@@ -1,0 +1,196 @@
+//! A world as a map: x to the right, y up, axes in metres, with everything that stands and moves in it.
+//!
+//! Goes in: a world and whatever else has to fit. Comes out: [`Map`], a picture with its scale, for others to draw on.
+
+use super::chrome::{self, Area, Sign};
+use super::{PlottedPoint, PlottedRun};
+use crate::io::canvas::{BOLD, INK, PLAIN, Picture, View, fitted};
+use crate::signal::LayerName;
+use crate::sim::{PathLoop, World};
+use embedded_graphics::pixelcolor::Rgb888;
+use embedded_graphics::prelude::*;
+use embedded_graphics::text::Alignment;
+use nalgebra::Vector2;
+
+/// Farthest coordinate that is drawn: a world's own limit.
+const COORDINATE_MAX_M: f64 = 1e4;
+/// Room about the plotted world, as a share of its longer side.
+const BORDER_SHARE: f64 = 0.025;
+/// Least share of the longer side that the shorter one is given, so that titles and legends have room.
+const SHORT_SIDE_MIN: f64 = 0.3;
+const WALL: Rgb888 = Rgb888::new(20, 20, 20);
+const PILLAR: Rgb888 = Rgb888::new(95, 95, 95);
+const MOVER: Rgb888 = Rgb888::new(150, 0, 150);
+const START_ZONE: Rgb888 = Rgb888::new(20, 20, 20);
+
+/// What stands around a map.
+pub(super) struct Frame<'a> {
+    /// Two lines above it.
+    pub(super) titles: [&'a str; 2],
+    /// Pixels of its longer side.
+    pub(super) long_side_px: u32,
+    /// Room to the right of it.
+    pub(super) right_px: i32,
+    /// Signs below it; what the world itself shows comes first.
+    pub(super) legend: Vec<(Sign, String)>,
+    /// Whether the axes are named.
+    pub(super) axis_titles: bool,
+}
+
+/// A map under construction.
+pub(super) struct Map {
+    pub(super) picture: Picture,
+    pub(super) view: View,
+    pub(super) area: Area,
+}
+
+/// A place that can be drawn.
+pub(super) fn place_m(x_m: f64, y_m: f64) -> Option<Vector2<f64>> {
+    (x_m.abs() <= COORDINATE_MAX_M && y_m.abs() <= COORDINATE_MAX_M).then(|| Vector2::new(x_m, y_m))
+}
+
+/// Stretches of a way between points that cannot be drawn.
+pub(super) fn drawable(points: &[PlottedPoint]) -> impl Iterator<Item = Vec<(Vector2<f64>, LayerName)>> {
+    let located = |point: &PlottedPoint| place_m(point.x_m, point.y_m).map(|place_m| (place_m, point.layer));
+    let pieces = points.split(move |point| located(point).is_none()).filter(|piece| !piece.is_empty());
+    pieces.map(move |piece| piece.iter().filter_map(located).collect())
+}
+
+/// Corners of everything that has to be on the map; a square metre where there is nothing.
+fn bounds_m(world: &World, runs: &[PlottedRun]) -> (Vector2<f64>, Vector2<f64>) {
+    let walls = world.walls.iter().flat_map(|wall| wall.points.iter().map(|point| (*point, 0.0)));
+    let pillars = world.pillars.iter().map(|pillar| (pillar.centre, pillar.radius_m));
+    let movers = world.movers.iter().flat_map(|mover| mover.path.iter().map(|point| (*point, mover.radius_m)));
+    let waypoints = world.waypoints.iter().map(|point| (*point, 0.0));
+    let [corner, size] = [world.start.corner, world.start.size];
+    let start = [corner, [corner[0] + size[0], corner[1] + size[1]]].map(|point| (point, 0.0));
+    let ways = runs.iter().flat_map(|run| run.points.iter().map(|point| ([point.x_m, point.y_m], 0.0)));
+    let discs = walls.chain(pillars).chain(movers).chain(waypoints).chain(start).chain(ways);
+    let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
+    for ([x_m, y_m], radius_m) in discs {
+        if let (Some(place), true) = (place_m(x_m, y_m), radius_m.abs() <= COORDINATE_MAX_M) {
+            (low, high) = (low.inf(&place.add_scalar(-radius_m)), high.sup(&place.add_scalar(radius_m)));
+        }
+    }
+    if low.x > high.x {
+        return (Vector2::repeat(-0.5), Vector2::repeat(0.5));
+    }
+    let long_m = (high - low).max().max(0.1);
+    let least = Vector2::new(0.6, SHORT_SIDE_MIN) * long_m;
+    let missing = (least - (high - low)).sup(&Vector2::zeros()) * 0.5 + Vector2::repeat(BORDER_SHARE * long_m);
+    (low - missing, high + missing)
+}
+
+impl Map {
+    /// A map with axes, titles and legend; nothing is drawn on it yet.
+    pub(super) fn new(world: &World, runs: &[PlottedRun], frame: Frame) -> Self {
+        let (low_m, high_m) = bounds_m(world, runs);
+        let extent_m = high_m - low_m;
+        let long_side_px = f64::from(frame.long_side_px.clamp(200, 4000));
+        let pixels_per_m = long_side_px / extent_m.max();
+        let (width, height) = ((extent_m.x * pixels_per_m) as i32, (extent_m.y * pixels_per_m) as i32);
+        let mut legend = world_legend(world);
+        legend.extend(frame.legend);
+        let left = if frame.axis_titles { 84 } else { 58 };
+        let below = if frame.axis_titles { 56 } else { 30 };
+        let top = 14 + 22 * frame.titles.iter().filter(|line| !line.is_empty()).count() as i32;
+        let shown = if frame.axis_titles { legend } else { Vec::new() };
+        let picture_width = left + width + 24 + frame.right_px;
+        let legend_px = chrome::legend_height_px(&shown, picture_width - left - 24);
+        let picture_height = top + height + below + legend_px + 8;
+        let mut picture = Picture::new(picture_width as u32, picture_height as u32);
+        for (index, line) in frame.titles.iter().filter(|line| !line.is_empty()).enumerate() {
+            let font = if index == 0 { BOLD } else { PLAIN };
+            let line = fitted(line, picture_width - left - 8, font);
+            picture.write(&line, Point::new(left, 18 + 22 * index as i32), Alignment::Left, (font, INK));
+        }
+        let area = Area { left, top, right: left + width, bottom: top + height };
+        let view = View::map(Point::new(left, top + height), low_m, pixels_per_m);
+        let tick_count = |length_px: i32| (f64::from(length_px) / 70.0).max(2.0);
+        let labelled = |low: f64, high: f64, length_px: i32| {
+            let (values, decimals) = chrome::ticks(low, high, tick_count(length_px));
+            let share = |value: f64| (value - low) * pixels_per_m / f64::from(length_px);
+            values.into_iter().map(|value| (share(value), chrome::number(value, decimals))).collect::<Vec<_>>()
+        };
+        let [x_title, y_title] = if frame.axis_titles { ["x (m)", "y (m)"] } else { ["", ""] };
+        area.axis_below(&mut picture, &labelled(low_m.x, high_m.x, width), x_title);
+        area.axis_left(&mut picture, &labelled(low_m.y, high_m.y, height), y_title);
+        chrome::legend(&mut picture, &shown, Point::new(left, top + height + below), picture_width - left - 24);
+        Self { picture, view, area }
+    }
+
+    /// Draws what lies under the ways: the frame, movers' paths and the start zone.
+    pub(super) fn draw_floor(&mut self, world: &World) {
+        self.area.frame(&mut self.picture);
+        for mover in &world.movers {
+            let closing = (mover.repeat == PathLoop::Cycle).then(|| mover.path.first()).flatten();
+            let path = mover.path.iter().chain(closing);
+            let places: Vec<_> =
+                path.filter_map(|point| place_m(point[0], point[1])).map(|point| self.view.place(point)).collect();
+            self.picture.dashes(&places, 2.0, MOVER);
+            if let (Some(first), true) = (places.first(), mover.radius_m.abs() <= COORDINATE_MAX_M) {
+                self.picture.ring(*first, mover.radius_m * self.view.pixels_per_m(), 2.0, MOVER);
+            }
+        }
+    }
+
+    /// Draws what stands in the world and where the run begins and leads to.
+    pub(super) fn draw_world(&mut self, world: &World) {
+        for wall in &world.walls {
+            for (from, to) in wall.pieces() {
+                if let (Some(from), Some(to)) = (place_m(from.x, from.y), place_m(to.x, to.y)) {
+                    self.picture.stroke(self.view.place(from), self.view.place(to), 3.0, WALL);
+                }
+            }
+        }
+        for pillar in &world.pillars {
+            if let (Some(centre), true) =
+                (place_m(pillar.centre[0], pillar.centre[1]), pillar.radius_m.abs() <= COORDINATE_MAX_M)
+            {
+                // A pillar of 2 cm must be seen in a world of 20 m.
+                let radius_px = (pillar.radius_m * self.view.pixels_per_m()).max(2.5);
+                self.picture.disc(self.view.place(centre), radius_px, PILLAR);
+            }
+        }
+        let ([x_m, y_m], size_m) = (world.start.corner, world.start.size);
+        if let (Some(low), Some(high)) = (place_m(x_m, y_m), place_m(x_m + size_m[0], y_m + size_m[1])) {
+            chrome::dashed_frame(&mut self.picture, self.view.place(low), self.view.place(high), START_ZONE);
+        }
+        for (index, waypoint) in world.waypoints.iter().enumerate() {
+            if let Some(place) = place_m(waypoint[0], waypoint[1]) {
+                let place = self.view.place(place);
+                self.picture.ring(place, world.reach_m * self.view.pixels_per_m(), 1.0, chrome::WAYPOINT);
+                chrome::waypoint(&mut self.picture, place, &(index + 1).to_string());
+            }
+        }
+    }
+
+    /// Marks the last place of every run that ended with a contact.
+    pub(super) fn draw_contacts(&mut self, runs: &[PlottedRun]) {
+        let ends = runs.iter().filter(|run| run.collided).filter_map(|run| run.points.last());
+        for place in ends.filter_map(|point| place_m(point.x_m, point.y_m)) {
+            chrome::contact(&mut self.picture, self.view.place(place));
+        }
+    }
+}
+
+/// Signs for what the world has.
+pub(super) fn world_legend(world: &World) -> Vec<(Sign, String)> {
+    let entries = [
+        (!world.walls.is_empty(), Sign::Line(WALL), "wall"),
+        (!world.pillars.is_empty(), Sign::Disc(PILLAR), "pillar"),
+        (!world.movers.is_empty(), Sign::Dashes(MOVER), "mover's path"),
+        (true, Sign::Frame(START_ZONE), "start zone"),
+        (!world.waypoints.is_empty(), Sign::Waypoint, "waypoint, reached within the circle"),
+    ];
+    entries.into_iter().filter(|entry| entry.0).map(|(_, sign, words)| (sign, words.to_owned())).collect()
+}
+
+/// "150 runs, 10 layouts, 0 contacts, 150 goals".
+pub(super) fn counts(runs: &[PlottedRun]) -> String {
+    let layouts: std::collections::BTreeSet<&str> = runs.iter().map(|run| run.layout).collect();
+    let contacts = runs.iter().filter(|run| run.collided).count();
+    let goals = runs.iter().filter(|run| run.reached_goal).count();
+    let many = |count: usize, what: &str| format!("{count} {what}{}", if count == 1 { "" } else { "s" });
+    [many(runs.len(), "run"), many(layouts.len(), "layout"), many(contacts, "contact"), many(goals, "goal")].join(", ")
+}
