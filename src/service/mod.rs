@@ -4,6 +4,9 @@
 //! ([`acquisition`], [`handoff`]). The *deciding* thread images, decides and publishes ([`decision`], around
 //! [`pipeline`]). The *watching* thread is the caller's: it waits for the end and ends the process when one of the others
 //! dies or hangs, since a daemon with a thread missing must not go on.
+//!
+//! The same pipeline is driven in simulation, faster than real time: one robot in [`trial`], many in [`proving`], and
+//! sensor layouts are ranked by that in [`sweep`].
 
 pub mod acquisition;
 pub mod decision;

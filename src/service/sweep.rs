@@ -40,15 +40,21 @@ const BEAM_HALF_WIDTH_RAD: f64 = 4.0 * std::f64::consts::PI / 180.0;
 /// Bins of a turn in the table of what is seen.
 const BEARING_BINS: usize = 720;
 
-/// Draws `count` different candidates for the robot of `config`; the same seed gives the same ones.
+/// Draws `count` different candidates for the robot of `config`; the same seed gives the same ones. `drawn` is called after
+/// each.
 ///
 /// # Errors
 /// When no layout can be found that this robot could drive with.
-pub fn draw(config: &Config, count: usize, seed: u64) -> Result<Vec<Entrant>, ServiceError> {
+pub fn draw(config: &Config, count: usize, seed: u64, drawn: &mut dyn FnMut()) -> Result<Vec<Entrant>, ServiceError> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(2);
     let mut tried = vec![config.sensor.iter().map(|sensor| sensor.mount).collect()];
-    (1..=count).map(|number| draw_one(config, &format!("drawn-{number}"), &mut tried, &mut random)).collect()
+    let one = |number| {
+        let entrant = draw_one(config, &format!("drawn-{number}"), &mut tried, &mut random)?;
+        drawn();
+        Ok(entrant)
+    };
+    (1..=count).map(one).collect()
 }
 
 fn draw_one(

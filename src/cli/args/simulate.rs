@@ -23,6 +23,11 @@ first --layout and ranks them together with the layouts given: fewest
 contacts first, then fewest goals missed, then fewest near-misses
 (clearance fell below 0.1 m), then the shortest mean time to the goal, then the largest clearance.
 
+Table: goals, waypoints reached of all; clear_m, least clearance; stop_s,
+longest stop while motion was wanted; alone_s, the same with no mover within
+1 m; turns/m, changes of the turn's sign while following walls; layers, the
+share of the ping sets that each decided.
+
 Exit codes: 0 whatever the robots did; 2 usage; 65 a run that could not
 begin; 69 no such backend; 78 a world or configuration of no use.
 
@@ -59,7 +64,7 @@ pub struct SimulateArguments {
     /// Write the results as JSON; `-` for standard output, instead of the table.
     #[arg(long, value_name = "F")]
     pub json: Option<PathBuf>,
-    /// Write a CSV file <layout>_<seed>.csv of each run into this folder; made if missing.
+    /// Write a CSV file of each run, LAYOUT_SEED.csv, into this folder; made if missing.
     #[arg(long, value_name = "DIR")]
     pub trajectories: Option<PathBuf>,
     /// Draw the heat map of all drives over the world; with --sweep the best candidates instead.

@@ -3,7 +3,7 @@
 
 use super::{Proving, first_failure, report};
 use crate::cli::Failure;
-use crate::cli::output::{print_line, write_picture};
+use crate::cli::output::{print_line, progress, write_picture};
 use crate::cli::run::service_failure;
 use crate::io::plot_layouts::{LayoutCard, render_layouts};
 use crate::sensor::SensorParams;
@@ -24,8 +24,10 @@ const PICTURED_MAX: usize = 12;
 pub fn sweep(mut proving: Proving, drawn: u64) -> Result<(), Failure> {
     let references = proving.entrants.len();
     let base = proving.entrants[0].rig.config();
-    let candidates =
-        sweep::draw(base, drawn as usize, proving.arguments.seed).map_err(|error| service_failure(&error))?;
+    let bar = progress(drawn, "drawing");
+    let candidates = sweep::draw(base, drawn as usize, proving.arguments.seed, &mut || bar.inc(1));
+    bar.finish_and_clear();
+    let candidates = candidates.map_err(|error| service_failure(&error))?;
     proving.entrants.extend(candidates);
     let runs = proving.drive(|run| {
         match &run.outcome {
