@@ -239,7 +239,23 @@ fn masks_are_ternary_arrays_and_pictures_for_every_layer_and_sensor() {
             assert!(path.with_extension("png").is_file());
         }
         assert!(sides[0] > 0 && sides[1] > 0, "{layer}: {sides:?}");
+        assert!(room.path("masks").join(format!("masks_{layer}.png")).is_file());
     }
+    for picture in ["regions", "flow_lines_front", "flow_lines_left", "flow_lines_right"] {
+        assert!(room.path("masks").join(picture).with_extension("png").is_file(), "{picture}");
+    }
+}
+
+#[test]
+fn masks_of_a_layout_are_those_of_its_sensors_and_no_other_layout_is_taken() {
+    let room = Room::new();
+    noctule().args(["masks", "--layout", "sim-5", "--out"]).arg(room.path("masks")).assert().success();
+    assert!(room.path("masks").join("mask_flow_following_sonar2.npy").is_file());
+    assert!(room.path("masks").join("flow_lines_sonar2.png").is_file());
+    assert!(!room.path("masks").join("flow_lines_sonar3.png").is_file(), "sim-5 has two sensors");
+    noctule().args(["masks", "--layout", "sim-11", "--out"]).arg(room.path("none")).assert().code(2);
+    let both = ["masks", "--layout", "sim-5", "--config", "robot.toml", "--out"];
+    noctule().args(both).arg(room.path("none")).assert().code(2);
 }
 
 #[test]

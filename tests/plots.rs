@@ -1,12 +1,15 @@
 //! Contract: what is plotted lies where the axes say, in the colours that the legends give, mirrored input gives a mirrored
 //! picture, and no input, empty, NaN or huge, makes a plot panic or run long. Places are read off the ticks, as a person does.
 
+mod plot_scale;
+
 use noctule::io::picture::Picture;
 use noctule::io::plot::{
     HeatMapOptions, HeatMeasure, PathsOptions, PlottedPoint, PlottedRun, heat_map, layer_colour, paths, paths_by_layout,
 };
 use noctule::signal::LayerName;
 use noctule::sim::{Mover, PathLoop, Pillar, Wall, World};
+use plot_scale::{Scale, dark};
 use std::time::{Duration, Instant};
 
 const WHITE: [u8; 3] = [255, 255, 255];
@@ -40,54 +43,16 @@ fn straight(layer: LayerName, y_m: f64, from_m: f64, to_m: f64) -> PlottedRun<'s
     run(layer, (0..=count).map(|index| [from_m + (to_m - from_m) * index as f64 / count as f64, y_m]))
 }
 
-fn dark(picture: &Picture, x: i32, y: i32) -> bool {
-    picture.pixel(x, y).is_some_and(|pixel| pixel.iter().all(|part| *part < 100))
-}
-
-/// Scale of a map, read off its frame and ticks: the left and the bottom line of the frame, and two ticks of either axis.
-struct Scale {
-    x_px: [f64; 2],
-    y_px: [f64; 2],
-    ticks: [f64; 2],
-}
-
-impl Scale {
-    /// `x_ticks` and `y_ticks` are the numbers that the first and the last tick of the axes must stand for, a metre apart.
-    fn read(picture: &Picture, x_count: usize, y_count: usize) -> Self {
-        let (width, height) = picture.size_px();
-        let (width, height) = (width as i32, height as i32);
-        let run_length = |y: i32| (0..width).filter(|x| dark(picture, *x, y)).count();
-        let bottom = (0..height).rev().find(|y| run_length(*y) > 600).expect("the frame has a bottom");
-        let left =
-            (0..width).find(|x| (0..height).filter(|y| dark(picture, *x, *y)).count() > 400).expect("and a side");
-        let below: Vec<i32> = (0..width).filter(|x| dark(picture, *x, bottom + 4)).collect();
-        let beside: Vec<i32> = (0..height).filter(|y| dark(picture, left - 4, *y)).collect();
-        assert_eq!((below.len(), beside.len()), (x_count, y_count), "one tick a metre");
-        let ends = |places: &[i32]| [f64::from(places[0]), f64::from(places[places.len() - 1])];
-        let [top_px, bottom_px] = ends(&beside);
-        Self { x_px: ends(&below), y_px: [bottom_px, top_px], ticks: [(x_count - 1) as f64, (y_count - 1) as f64] }
-    }
-
-    fn of_room(picture: &Picture) -> Self {
-        Self::read(picture, 11, 9)
-    }
-
-    fn pixel(&self, x_m: f64, y_m: f64) -> (i32, i32) {
-        let x = self.x_px[0] + (self.x_px[1] - self.x_px[0]) * x_m / self.ticks[0];
-        let y = self.y_px[0] + (self.y_px[1] - self.y_px[0]) * y_m / self.ticks[1];
-        (x.round() as i32, y.round() as i32)
-    }
-
-    fn colour(&self, picture: &Picture, x_m: f64, y_m: f64) -> [u8; 3] {
-        let (x, y) = self.pixel(x_m, y_m);
-        picture.pixel(x, y).expect("on the picture")
-    }
+/// The scale of a map of the room: a tick a metre.
+#[track_caller]
+fn scale_of_room(picture: &Picture) -> Scale {
+    Scale::read(picture, ([0.0, 10.0], 11), ([0.0, 8.0], 9))
 }
 
 #[test]
 fn a_wall_stands_at_the_ticks_of_its_metres() {
     for picture in [heat_map(&room(), &[], &HeatMapOptions::default()), paths(&room(), &[], &PathsOptions::default())] {
-        let scale = Scale::of_room(&picture);
+        let scale = scale_of_room(&picture);
         for (x_m, y_m) in [(3.0, 2.1), (3.0, 5.9), (0.0, 4.0), (10.0, 4.0), (5.0, 0.0), (5.0, 8.0)] {
             let (x, y) = scale.pixel(x_m, y_m);
             assert!(dark(&picture, x, y), "no wall at ({x_m}, {y_m})");
@@ -102,7 +67,7 @@ fn a_wall_stands_at_the_ticks_of_its_metres() {
 fn a_visited_place_is_coloured_as_far_as_the_footprint_reaches_and_no_farther() {
     let options = HeatMapOptions { footprint_radius_m: 0.2, ..HeatMapOptions::default() };
     let picture = heat_map(&room(), &[straight(LayerName::PassThrough, 4.0, 4.0, 8.0)], &options);
-    let scale = Scale::of_room(&picture);
+    let scale = scale_of_room(&picture);
     for (x_m, y_m) in [(4.0, 4.0), (6.0, 4.0), (6.0, 4.17), (6.0, 3.83), (8.17, 4.0)] {
         assert_ne!(scale.colour(&picture, x_m, y_m), WHITE, "({x_m}, {y_m}) was visited");
     }
@@ -119,7 +84,7 @@ fn a_place_that_more_runs_came_over_is_darker_and_one_run_counts_once() {
     let runs = [along(2.0), along(2.0), along(2.0), along(4.0), run(LayerName::PassThrough, twice)];
     let options = |measure| HeatMapOptions { footprint_radius_m: 0.1, measure, ..HeatMapOptions::default() };
     let picture = heat_map(&room(), &runs, &options(HeatMeasure::Runs));
-    let scale = Scale::of_room(&picture);
+    let scale = scale_of_room(&picture);
     let brightness = |colour: [u8; 3]| colour.iter().map(|part| u32::from(*part)).sum::<u32>();
     let [three, one, back] = [2.0, 4.0, 6.0].map(|y_m| scale.colour(&picture, 5.0, y_m));
     assert!(brightness(three) + 100 < brightness(one), "{three:?} {one:?}");
@@ -137,7 +102,7 @@ fn a_run_is_drawn_in_the_colours_of_the_layers_that_decided() {
     let runs: Vec<PlottedRun> =
         LAYERS.iter().enumerate().map(|(row, layer)| straight(*layer, 1.0 + row as f64, 4.0, 8.0)).collect();
     let picture = paths(&room(), &runs, &PathsOptions::default());
-    let scale = Scale::of_room(&picture);
+    let scale = scale_of_room(&picture);
     for (row, layer) in LAYERS.iter().enumerate() {
         assert_eq!(scale.colour(&picture, 6.0, 1.0 + row as f64), layer_colour(*layer), "{layer:?}");
         // The legend's own line stands below the map.
@@ -170,7 +135,7 @@ fn a_contact_is_crossed_out_where_the_run_ended_and_only_there() {
     for picture in
         [heat_map(&room(), &runs, &HeatMapOptions::default()), paths(&room(), &runs, &PathsOptions::default())]
     {
-        let scale = Scale::of_room(&picture);
+        let scale = scale_of_room(&picture);
         assert!(crossed(&picture, &scale, 8.0, 5.0));
         assert!(!crossed(&picture, &scale, 8.0, 2.0) && !crossed(&picture, &scale, 4.0, 5.0));
     }
@@ -210,8 +175,8 @@ fn a_mirrored_world_with_mirrored_runs_is_the_mirrored_picture() {
     let (left, right) =
         (paths(&mirrored_world(&world), &[wave(-1.0)], &options), paths(&world, &[wave(1.0)], &options));
     assert_ne!(left, right);
-    let scale = Scale { ticks: [10.0, 8.0], ..Scale::read(&right, 11, 9) };
-    let (from, to) = (scale.pixel(0.0, 8.0), scale.pixel(10.0, 0.0));
+    let scale = Scale::read(&right, ([-5.0, 5.0], 11), ([-4.0, 4.0], 9));
+    let (from, to) = (scale.pixel(-5.0, 4.0), scale.pixel(5.0, -4.0));
     for y in from.1..=to.1 {
         for step in 0..=to.0 - from.0 {
             let pair = [left.pixel(from.0 + step, y), right.pixel(to.0 - step, y)].map(|pixel| pixel.expect("inside"));
@@ -266,7 +231,7 @@ fn nan_and_huge_numbers_neither_panic_nor_hang_nor_move_what_is_sound() {
         assert!(picture.size_px().0 < 4000, "{odd}");
         let picture = paths(&odd_world(odd), &runs, &PathsOptions::default());
         if odd.abs() > 1e4 || odd.is_nan() {
-            let scale = Scale::of_room(&picture);
+            let scale = scale_of_room(&picture);
             assert_eq!(scale.colour(&picture, 6.5, 4.0), layer_colour(LayerName::FlowFollowing), "{odd}");
         }
         let _ = paths_by_layout(

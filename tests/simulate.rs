@@ -314,7 +314,7 @@ fn drawn_layouts_stand_on_the_robot_see_ahead_and_follow_from_the_seed() {
     let config = pcm(Config::layout("sim-4").unwrap());
     let radius_m = config.platform.radius_m;
     let draw = |count, seed| sweep::draw(&config, count, seed, &mut || ()).expect("candidates");
-    let drawn = draw(3, 3);
+    let drawn = draw(2, 3);
     let mounts = |entrants: &[Entrant]| -> Vec<Vec<_>> {
         let of = |entrant: &Entrant| entrant.rig.config().sensor.iter().map(|sensor| sensor.mount).collect();
         entrants.iter().map(of).collect()
@@ -326,7 +326,7 @@ fn drawn_layouts_stand_on_the_robot_see_ahead_and_follow_from_the_seed() {
         let coverage = Sight::new(&entrant.rig).coverage();
         assert!(coverage.ahead_m >= radius_m && coverage.around_share > 0.1 && coverage.around_share <= 1.0);
     }
-    assert_eq!(mounts(&drawn[..2]), mounts(&draw(2, 3)));
+    assert_eq!(mounts(&drawn[..1]), mounts(&draw(1, 3)));
     assert_ne!(mounts(&drawn[..1]), mounts(&draw(1, 4)));
     let all = mounts(&drawn);
     assert!(all.iter().enumerate().all(|(index, one)| !all[..index].contains(one)), "all different");

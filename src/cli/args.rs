@@ -186,9 +186,16 @@ pub struct ProcessArguments {
 
 /// `masks`.
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  noctule masks --config robot.toml --out masks
+  noctule masks --layout sim-4 --out masks")]
 pub struct MasksArguments {
     #[command(flatten)]
     pub choice: ConfigChoice,
+    /// One of the sensor layouts of paper 000 instead of a configuration.
+    #[arg(long, value_name = "L", conflicts_with = "config",
+          value_parser = clap::builder::PossibleValuesParser::new(crate::config::LAYOUT_NAMES))]
+    pub layout: Option<String>,
     /// Folder to write to; made if missing.
     #[arg(short, long, value_name = "DIR")]
     pub out: PathBuf,

@@ -20,6 +20,17 @@ pub fn load(choice: &ConfigChoice) -> Result<Config, Failure> {
     Ok(config)
 }
 
+/// As [`load`], or one of the built-in sensor layouts if one is named.
+///
+/// # Errors
+/// As [`load`], also for a layout that there is not.
+pub fn load_or_layout(choice: &ConfigChoice, layout: Option<&str>) -> Result<Config, Failure> {
+    match layout {
+        None => load(choice),
+        Some(name) => Config::layout(name).map_err(|error| Failure::new(exit::CONFIG, error)),
+    }
+}
+
 /// Prints the configuration in force with every default filled in; it loads again to an equal one.
 ///
 /// # Errors

@@ -113,11 +113,23 @@ impl Picture {
     }
 
     /// Strokes from place to place.
-    #[expect(dead_code, reason = "flow lines are drawn with it")]
     pub(super) fn polyline(&mut self, places: &[Vector2<f64>], width_px: f64, colour: Rgb888) {
         for pair in places.windows(2) {
             self.stroke(pair[0], pair[1], width_px, colour);
         }
+    }
+
+    /// A stroke with a head at its end.
+    pub(super) fn arrow(&mut self, from: Vector2<f64>, to: Vector2<f64>, width_px: f64, colour: Rgb888) {
+        let length_px = (to - from).norm();
+        if !(near(from) && near(to)) || length_px < 1e-9 {
+            return;
+        }
+        let unit = (to - from) / length_px;
+        let (back, across) = (unit * (4.0 + 2.5 * width_px), Vector2::new(-unit.y, unit.x) * (2.0 + 1.5 * width_px));
+        self.stroke(from, to, width_px, colour);
+        self.stroke(to, to - back + across, width_px, colour);
+        self.stroke(to, to - back - across, width_px, colour);
     }
 
     /// Dashes from place to place, as long as the gaps are and a little more.
@@ -295,8 +307,13 @@ pub(super) struct View {
 impl View {
     /// The robot seen from above: the frame's origin at `origin`, x up, y to the left.
     pub(super) fn robot(origin: Point, pixels_per_m: f64) -> Self {
+        Self::robot_at(Vector2::new(f64::from(origin.x), f64::from(origin.y)), pixels_per_m)
+    }
+
+    /// As [`View::robot`], the origin anywhere between pixels.
+    pub(super) fn robot_at(origin: Vector2<f64>, pixels_per_m: f64) -> Self {
         let axes = [Vector2::new(0.0, -pixels_per_m), Vector2::new(-pixels_per_m, 0.0)];
-        Self { origin: Vector2::new(f64::from(origin.x), f64::from(origin.y)), axes, pixels_per_m }
+        Self { origin, axes, pixels_per_m }
     }
 
     /// A map: `corner_m` at `corner`, x to the right, y up.

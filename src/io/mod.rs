@@ -20,6 +20,7 @@ pub mod params;
 pub mod picture;
 pub mod plot;
 pub mod plot_layouts;
+mod polar;
 pub mod raw_topics;
 pub mod recording_file;
 mod root;

@@ -5,7 +5,7 @@
 pub use super::canvas::{Picture, write_png};
 
 use super::canvas::{GRID_LINE, INK, View};
-use crate::geometry::polar_from_cartesian;
+use super::polar::Azimuths;
 use crate::sensor::SensorSetup;
 use crate::signal::{Energyscape, Mask, PolarGrid};
 use embedded_graphics::pixelcolor::Rgb888;
@@ -15,59 +15,40 @@ use embedded_graphics::text::Alignment;
 use nalgebra::Vector2;
 
 const SEEN: Rgb888 = Rgb888::new(244, 244, 240);
-const LEFT: Rgb888 = Rgb888::new(230, 126, 34);
-const RIGHT: Rgb888 = Rgb888::new(41, 121, 185);
+pub(super) const LEFT: Rgb888 = Rgb888::new(230, 126, 34);
+pub(super) const RIGHT: Rgb888 = Rgb888::new(41, 121, 185);
 /// Decibels between the brightest and the darkest colour.
-const DYNAMIC_RANGE_DB: f64 = 50.0;
-const MARGIN_PX: i32 = 36;
-
-/// For every degree of azimuth the directions to look at: the nearest one, and in a grid with elevations all that are
-/// as near, so that the picture shows the largest value over elevation.
-struct Azimuths {
-    first_deg: i32,
-    directions: Vec<Vec<usize>>,
-}
-
-impl Azimuths {
-    fn new(grid: &PolarGrid) -> Self {
-        let azimuths: Vec<f64> = grid.directions().iter().map(|direction| direction.azimuth_rad.to_degrees()).collect();
-        let mut sorted = azimuths.clone();
-        sorted.sort_by(f64::total_cmp);
-        let gaps = sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > 1e-6);
-        let reach_deg = gaps.fold(0.0, f64::max).clamp(1.0, 10.0) * 0.75;
-        let nearest = |degree: i32| {
-            let distance = |azimuth: f64| (azimuth - f64::from(degree) / 4.0).abs();
-            let best = azimuths.iter().copied().map(distance).fold(f64::INFINITY, f64::min);
-            let near = azimuths.iter().enumerate().filter(|(_, azimuth)| distance(**azimuth) <= best + 1e-6);
-            if best <= reach_deg { near.map(|(index, _)| index).collect() } else { Vec::new() }
-        };
-        Self { first_deg: -720, directions: (-720..=720).map(nearest).collect() }
-    }
-
-    /// Cells at a point of the sensor frame; none outside the grid.
-    fn cells<'a>(&'a self, grid: &'a PolarGrid, point_m: Vector2<f64>) -> impl Iterator<Item = usize> + 'a {
-        let (range_m, bearing_rad) = polar_from_cartesian(point_m);
-        let quarter_degree = (bearing_rad.to_degrees() * 4.0).round() as i32;
-        let directions = self.directions.get((quarter_degree - self.first_deg) as usize).map_or(&[][..], Vec::as_slice);
-        let range = grid.nearest_range_index(range_m);
-        range.into_iter().flat_map(move |range| directions.iter().map(move |direction| grid.cell(*direction, range)))
-    }
-}
+pub(super) const DYNAMIC_RANGE_DB: f64 = 50.0;
+pub(super) const MARGIN_PX: i32 = 36;
 
 /// Draws an energyscape from above, sensor at the bottom, in decibels of full scale with a colour bar.
 #[must_use]
 pub fn render_energyscape(energyscape: &Energyscape) -> Picture {
-    let grid = &energyscape.grid;
-    let range_max_m = grid.range_m(grid.range_count() - 1);
     let (radius_px, bar_px) = (400, 80);
     let mut picture = Picture::new((2 * (radius_px + MARGIN_PX) + bar_px) as u32, (radius_px + 2 * MARGIN_PX) as u32);
+    let top_db = top_db([energyscape]);
+    picture.paste(&fan(radius_px, energyscape, top_db), Point::new(0, 0));
+    colour_bar(&mut picture, 2 * (radius_px + MARGIN_PX), radius_px, top_db);
+    picture
+}
+
+/// The upper end of a scale that holds the loudest cell of all.
+pub(super) fn top_db<'a>(energyscapes: impl IntoIterator<Item = &'a Energyscape>) -> f64 {
+    let peak = energyscapes.into_iter().map(|energyscape| f64::from(energyscape.peak().1)).fold(1e-9, f64::max);
+    (decibels(peak.min(1e9)) / 5.0).ceil() * 5.0
+}
+
+/// An energyscape's half disc with its rings and numbers, a picture of [`fan_size_px`].
+pub(super) fn fan(radius_px: i32, energyscape: &Energyscape, top_db: f64) -> Picture {
+    let grid = &energyscape.grid;
+    let range_max_m = grid.range_m(grid.range_count() - 1);
+    let (width, height) = fan_size_px(radius_px);
+    let mut picture = Picture::new(width as u32, height as u32);
     let origin = Point::new(radius_px + MARGIN_PX, radius_px + MARGIN_PX);
     let view = View::robot(origin, f64::from(radius_px) / range_max_m);
-    let peak = f64::from(energyscape.peak().1).max(1e-9);
-    let top_db = (decibels(peak) / 5.0).ceil() * 5.0;
     let azimuths = Azimuths::new(grid);
     for y in 0..=origin.y {
-        for x in 0..2 * (radius_px + MARGIN_PX) {
+        for x in 0..width {
             let values = azimuths.cells(grid, view.point_m(x, y)).map(|cell| energyscape.values[cell]);
             if let Some(value) = values.reduce(f32::max) {
                 let colour = heat((decibels(f64::from(value)) - top_db) / DYNAMIC_RANGE_DB + 1.0);
@@ -75,14 +56,18 @@ pub fn render_energyscape(energyscape: &Energyscape) -> Picture {
             }
         }
     }
-    range_rings(&mut picture, &view, range_max_m);
+    half_rings(&mut picture, &view, range_max_m);
     for degrees in [-60, -30, 0, 30, 60] {
         let bearing_rad = f64::from(degrees).to_radians();
         let at = view.pixel(Vector2::new(bearing_rad.cos(), bearing_rad.sin()) * (range_max_m * 1.045));
         picture.label(&format!("{degrees}"), at, Alignment::Center);
     }
-    colour_bar(&mut picture, 2 * (radius_px + MARGIN_PX), radius_px, top_db);
     picture
+}
+
+/// Width and height that a half disc takes with its numbers.
+pub(super) fn fan_size_px(radius_px: i32) -> (i32, i32) {
+    (2 * (radius_px + MARGIN_PX), radius_px + 2 * MARGIN_PX)
 }
 
 /// Draws a mask over the robot, from above: left of its x axis orange, right blue, seen cells outside the region pale.
@@ -120,21 +105,38 @@ pub fn render_mask(mask: &Mask, grid: &PolarGrid, sensor: &SensorSetup) -> Pictu
     picture
 }
 
+/// Rings of round ranges about the origin and their numbers to its right.
 fn range_rings(picture: &mut Picture, view: &View, reach_m: f64) {
-    let origin = view.pixel(Vector2::zeros());
-    let step_m = [0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|step| reach_m / step <= 6.0).unwrap_or(20.0);
-    let mut ring_m = step_m;
-    while ring_m <= reach_m {
+    for ring_m in ring_radii_m(reach_m) {
         let diameter = (2.0 * ring_m * view.pixels_per_m()).round() as u32;
-        let ring = Circle::with_center(origin, diameter);
+        let ring = Circle::with_center(view.pixel(Vector2::zeros()), diameter);
         picture.shape(ring.into_styled(PrimitiveStyle::with_stroke(GRID_LINE, 1)));
-        let at = view.pixel(Vector2::new(0.0, -ring_m));
-        picture.label(&format!("{ring_m} m"), Point::new(at.x, origin.y + 14), Alignment::Center);
-        ring_m += step_m;
+        range_number(picture, view, ring_m);
     }
 }
 
-fn colour_bar(picture: &mut Picture, left: i32, height: i32, top_db: f64) {
+/// The upper halves of the same rings: below there is nothing that they could measure.
+fn half_rings(picture: &mut Picture, view: &View, reach_m: f64) {
+    for ring_m in ring_radii_m(reach_m) {
+        let radius_px = ring_m * view.pixels_per_m();
+        let (centre, reach) = (view.place(Vector2::zeros()), Vector2::new(radius_px + 1.0, radius_px + 1.0));
+        let on_ring = |place: Vector2<f64>| f64::from(u8::from(((place - centre).norm() - radius_px).abs() <= 0.5));
+        picture.cover((centre - reach, centre + Vector2::new(reach.x, 0.0)), GRID_LINE, on_ring);
+        range_number(picture, view, ring_m);
+    }
+}
+
+fn range_number(picture: &mut Picture, view: &View, ring_m: f64) {
+    let at = view.pixel(Vector2::new(0.0, -ring_m));
+    picture.label(&format!("{ring_m} m"), at + Point::new(0, 14), Alignment::Center);
+}
+
+fn ring_radii_m(reach_m: f64) -> impl Iterator<Item = f64> {
+    let step_m = [0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|step| reach_m / step <= 6.0).unwrap_or(20.0);
+    (1..=(reach_m / step_m).clamp(0.0, 100.0) as u32).map(move |index| f64::from(index) * step_m)
+}
+
+pub(super) fn colour_bar(picture: &mut Picture, left: i32, height: i32, top_db: f64) {
     for y in 0..height {
         let colour = heat(1.0 - f64::from(y) / f64::from(height));
         picture.line(Point::new(left, MARGIN_PX + y), Point::new(left + 16, MARGIN_PX + y), colour);
@@ -148,11 +150,11 @@ fn colour_bar(picture: &mut Picture, left: i32, height: i32, top_db: f64) {
     picture.label("dBFS", Point::new(left, MARGIN_PX - 12), Alignment::Left);
 }
 
-fn decibels(amplitude: f64) -> f64 {
+pub(super) fn decibels(amplitude: f64) -> f64 {
     20.0 * amplitude.max(1e-12).log10()
 }
 
-fn heat(share: f64) -> Rgb888 {
+pub(super) fn heat(share: f64) -> Rgb888 {
     let colour = colorous::INFERNO.eval_continuous(share.clamp(0.0, 1.0));
     Rgb888::new(colour.r, colour.g, colour.b)
 }

@@ -3,17 +3,29 @@
 //! | figure | function | what goes in |
 //! |---|---|---|
 //! | 9 | [`heat_map`] | a world and the ways of many runs through it |
+//! | 1c | [`frames`], [`energyscapes_together`] | energyscapes |
+//! | 4b, 5 | [`flow_lines`] | lines of a sensor's image |
+//! | 7 | [`regions`] | a robot and the regions of its layers |
+//! | 8 | [`masks_together`] | the masks of a layer |
 //! | 11, 12 | [`paths`], [`paths_by_layout`] | the same, coloured by the layer that decided |
 //!
 //! Every function is pure: the same input gives the same pixels. Whatever is not finite, or farther out than a world may
 //! reach, is left out of the picture; no input panics. Nothing here computes a result, it only shows what it is handed.
 
 mod chrome;
+mod flow_lines;
+mod frames;
 mod heat_map;
+mod regions;
+mod robot;
 mod trajectories;
 mod world;
 
+pub use flow_lines::{FlowCurve, FlowMark, FlowPanel, flow_lines};
+pub use frames::{energyscapes_together, frames};
 pub use heat_map::{HeatMapOptions, HeatMeasure, heat_map};
+pub use regions::{PlottedRegions, masks_together, regions};
+pub use robot::PlottedRobot;
 pub use trajectories::{PathsOptions, paths, paths_by_layout};
 
 use crate::signal::LayerName;

@@ -63,8 +63,12 @@ fn draw_one(
     tried: &mut Vec<Vec<MountParams>>,
     random: &mut ChaCha8Rng,
 ) -> Result<Entrant, ServiceError> {
+    // There are fewer ways to place one sensor than three: a sixth, a third and a half of the candidates. Both are decided
+    // before anything is refused, or the layouts that are refused least would be drawn most.
+    let count = [1, 2, 2, SENSORS_MAX, SENSORS_MAX, SENSORS_MAX][(6.0 * uniform(random)) as usize];
+    let symmetrical = uniform(random) < SYMMETRICAL_SHARE;
     for _ in 0..DRAWS_MAX {
-        let places = draw_places(config.platform.radius_m, random);
+        let places = draw_places(count, symmetrical, config.platform.radius_m, random);
         if !can_be_built(&places) || !places.iter().any(looks_ahead) {
             continue;
         }
@@ -116,10 +120,8 @@ impl Place {
     }
 }
 
-fn draw_places(radius_m: f64, random: &mut ChaCha8Rng) -> Vec<Place> {
-    // There are fewer ways to place one sensor than three: a sixth, a third and a half of the candidates.
-    let count = [1, 2, 2, SENSORS_MAX, SENSORS_MAX, SENSORS_MAX][(6.0 * uniform(random)) as usize];
-    if uniform(random) >= SYMMETRICAL_SHARE {
+fn draw_places(count: usize, symmetrical: bool, radius_m: f64, random: &mut ChaCha8Rng) -> Vec<Place> {
+    if !symmetrical {
         return (0..count).map(|_| draw_place(radius_m, random)).collect();
     }
     let mut places = Vec::new();

@@ -1,6 +1,6 @@
 //! What stands around a plot: axes with ticks, legends, colour bars. Numbers in, ink out; knows nothing of what is plotted.
 
-use crate::io::canvas::{BACKGROUND, INK, PLAIN, Picture, SMALL, text_width_px};
+use crate::io::canvas::{BACKGROUND, BOLD, INK, PLAIN, Picture, SMALL, fitted, text_width_px};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::{PrimitiveStyle, Rectangle};
@@ -13,6 +13,10 @@ pub(super) const LEGEND_ROW_PX: i32 = 26;
 const SIGN_PX: i32 = 34;
 /// Room after them.
 const GAP_PX: i32 = 22;
+/// What no sensor sees.
+pub(super) const UNSEEN: Rgb888 = Rgb888::new(222, 222, 222);
+/// What one sensor's housing hides from another.
+pub(super) const HIDDEN: Rgb888 = Rgb888::new(140, 140, 140);
 const CONTACT: Rgb888 = Rgb888::new(214, 0, 0);
 pub(super) const WAYPOINT: Rgb888 = Rgb888::new(20, 70, 220);
 
@@ -22,8 +26,9 @@ pub(super) enum Sign {
     Line(Rgb888),
     Dashes(Rgb888),
     Disc(Rgb888),
-    #[expect(dead_code, reason = "regions are named with it")]
     Patch(Rgb888),
+    Hatch,
+    Sensor,
     Frame(Rgb888),
     Waypoint,
     Contact,
@@ -40,6 +45,15 @@ impl Sign {
             Sign::Dashes(colour) => picture.dashes(&[at - half * 1.2, at + half], 2.0, colour),
             Sign::Disc(colour) => picture.disc(at, 7.0, colour),
             Sign::Patch(colour) => picture.block(at - Vector2::new(10.0, 7.0), at + Vector2::new(10.0, 7.0), colour),
+            Sign::Hatch => {
+                let reach = Vector2::new(10.0, 7.0);
+                picture
+                    .cover((at - reach, at + reach), HIDDEN, |place| f64::from(u8::from(hatched(rounded(place), 0))));
+            }
+            Sign::Sensor => {
+                picture.block(at - Vector2::new(12.0, 5.0), at - Vector2::new(7.0, -5.0), INK);
+                picture.arrow(at - Vector2::new(7.0, 0.0), at + half, 1.6, INK);
+            }
             Sign::Frame(colour) => {
                 dashed_frame(picture, at - Vector2::new(12.0, 8.0), at + Vector2::new(12.0, 8.0), colour)
             }
@@ -49,6 +63,16 @@ impl Sign {
             Sign::End => end(picture, at),
         }
     }
+}
+
+/// Whether a pixel belongs to the hatching of a sensor's hidden bearings: each sensor has a slope of its own.
+pub(super) fn hatched(at: Point, sensor_index: usize) -> bool {
+    let across = match sensor_index % 3 {
+        0 => at.x + at.y,
+        1 => at.x - at.y,
+        _ => at.x,
+    };
+    across.rem_euclid(8) < 2
 }
 
 pub(super) fn dashed_frame(picture: &mut Picture, low: Vector2<f64>, high: Vector2<f64>, colour: Rgb888) {
@@ -134,10 +158,24 @@ pub(super) fn ticks(low: f64, high: f64, count: f64) -> (Vec<f64>, usize) {
     (inside.filter(|value| *value <= high + 1e-6 * step).collect(), decimals)
 }
 
+/// The box with some room about it, and grown so that it is at least `least` of its longer side in x and y.
+pub(super) fn bordered(low: Vector2<f64>, high: Vector2<f64>, least: Vector2<f64>) -> (Vector2<f64>, Vector2<f64>) {
+    const BORDER_SHARE: f64 = 0.025;
+    let long = (high - low).max().max(0.1);
+    let missing = (least * long - (high - low)).sup(&Vector2::zeros()) * 0.5 + Vector2::repeat(BORDER_SHARE * long);
+    (low - missing, high + missing)
+}
+
 /// A number without the sign of a zero.
 pub(super) fn number(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     if text.trim_start_matches(['-', '0', '.']).is_empty() { text.trim_start_matches('-').to_owned() } else { text }
+}
+
+/// Round numbers along an axis from `low` to `high` of `length_px` pixels, with their places from 0 to 1.
+pub(super) fn axis_ticks(low: f64, high: f64, length_px: i32) -> Vec<(f64, String)> {
+    let (values, decimals) = ticks(low, high, (f64::from(length_px) / 70.0).max(2.0));
+    values.into_iter().map(|value| ((value - low) / (high - low), number(value, decimals))).collect()
 }
 
 /// A rectangle of pixels, edges included.
@@ -200,6 +238,61 @@ impl Area {
             picture.write(line, Point::new(self.left, self.top - up), Alignment::Left, (SMALL, INK));
         }
     }
+}
+
+/// What stands around a plot.
+pub(super) struct Frame<'a> {
+    /// Two lines above it.
+    pub(super) titles: [&'a str; 2],
+    /// Room to the right of it.
+    pub(super) right_px: i32,
+    /// Signs below it.
+    pub(super) legend: Vec<(Sign, String)>,
+    /// Whether the axes are named and the legend is shown.
+    pub(super) axis_titles: bool,
+}
+
+impl Frame<'_> {
+    /// A picture with titles and legend, and the area of `width` by `height` pixels that is left for the plot.
+    pub(super) fn sheet(&self, width: i32, height: i32) -> (Picture, Area) {
+        let left = if self.axis_titles { 84 } else { 58 };
+        let below = if self.axis_titles { 56 } else { 30 };
+        let top = 14 + 22 * self.titles.iter().filter(|line| !line.is_empty()).count() as i32;
+        let shown: &[_] = if self.axis_titles { &self.legend } else { &[] };
+        let picture_width = left + width + 24 + self.right_px;
+        let legend_width = picture_width - left - 24;
+        let picture_height = top + height + below + legend_height_px(shown, legend_width) + 8;
+        let mut picture = Picture::new(picture_width as u32, picture_height as u32);
+        for (index, line) in self.titles.iter().filter(|line| !line.is_empty()).enumerate() {
+            let font = if index == 0 { BOLD } else { PLAIN };
+            let line = fitted(line, picture_width - left - 8, font);
+            picture.write(&line, Point::new(left, 18 + 22 * index as i32), Alignment::Left, (font, INK));
+        }
+        legend(&mut picture, shown, Point::new(left, top + height + below), legend_width);
+        (picture, Area { left, top, right: left + width, bottom: top + height })
+    }
+}
+
+/// Pictures row by row under two titles, a legend below.
+pub(super) fn tiled(pictures: &[Picture], columns: usize, titles: [&str; 2], entries: &[(Sign, String)]) -> Picture {
+    let size = |pick: fn((u32, u32)) -> u32| pictures.iter().map(|picture| pick(picture.size_px())).max().unwrap_or(0);
+    let (cell_width, cell_height) = (size(|size| size.0).cast_signed(), size(|size| size.1).cast_signed());
+    let rows = pictures.len().div_ceil(columns.max(1)) as i32;
+    let (left, top) = (20, 60);
+    let width = (cell_width * columns as i32).max(640) + left;
+    let legend_px = legend_height_px(entries, width - 2 * left);
+    let height = top + cell_height * rows + legend_px + LEGEND_ROW_PX / 2;
+    let mut sheet = Picture::new(width as u32, height as u32);
+    for (index, (line, font)) in titles.into_iter().zip([BOLD, PLAIN]).enumerate() {
+        let line = fitted(line, width - 2 * left, font);
+        sheet.write(&line, Point::new(left, 18 + 22 * index as i32), Alignment::Left, (font, INK));
+    }
+    for (index, picture) in pictures.iter().enumerate() {
+        let (row, column) = ((index / columns) as i32, (index % columns) as i32);
+        sheet.paste(picture, Point::new(column * cell_width, top + row * cell_height));
+    }
+    legend(&mut sheet, entries, Point::new(left, top + cell_height * rows), width - 2 * left);
+    sheet
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! The ways of many runs as one map of how often each place was visited (paper 000, figure 9).
 
 use super::PlottedRun;
-use super::chrome::{Area, Sign};
-use super::world::{self, Frame, Map};
+use super::chrome::{Area, Frame, Sign};
+use super::world::{self, Map};
 use crate::io::canvas::Picture;
 use crate::sim::World;
 use embedded_graphics::pixelcolor::Rgb888;
@@ -52,9 +52,9 @@ pub fn heat_map(world: &World, runs: &[PlottedRun], options: &HeatMapOptions) ->
     let mut map = Map::new(
         world,
         runs,
+        options.long_side_px,
         Frame {
             titles: [&options.title, &counts],
-            long_side_px: options.long_side_px,
             right_px: BAR_PX,
             legend: vec![(Sign::Contact, "contact".to_owned())],
             axis_titles: true,
@@ -69,6 +69,7 @@ pub fn heat_map(world: &World, runs: &[PlottedRun], options: &HeatMapOptions) ->
     }
     map.draw_floor(world);
     map.draw_world(world);
+    map.draw_waypoints(world);
     map.draw_contacts(runs);
     draw_bar(&mut map, most, options);
     map.picture

@@ -1,13 +1,11 @@
 //! Ways through a world, coloured by the layer that decided at each point (paper 000, figures 11 and 12).
 
-use super::chrome::{self, LEGEND_ROW_PX, Sign};
-use super::world::{self, Frame, Map};
+use super::chrome::{self, Frame, Sign};
+use super::world::{self, Map};
 use super::{PlottedRun, layer_ink, layer_words};
-use crate::io::canvas::{BOLD, INK, PLAIN, Picture, fitted};
+use crate::io::canvas::Picture;
 use crate::signal::LayerName;
 use crate::sim::World;
-use embedded_graphics::prelude::*;
-use embedded_graphics::text::Alignment;
 use nalgebra::Vector2;
 
 /// From the bottom to the top: what is rare and matters must not be covered by what is common.
@@ -44,14 +42,8 @@ impl Default for PathsOptions {
 #[must_use]
 pub fn paths(world: &World, runs: &[PlottedRun], options: &PathsOptions) -> Picture {
     let counts = world::counts(runs) + SHARES;
-    let frame = Frame {
-        titles: [&options.title, &counts],
-        long_side_px: options.long_side_px,
-        right_px: 0,
-        legend: way_legend(runs),
-        axis_titles: true,
-    };
-    panel(world, runs, runs, frame)
+    let frame = Frame { titles: [&options.title, &counts], right_px: 0, legend: way_legend(runs), axis_titles: true };
+    panel(world, runs, runs, options.long_side_px, frame)
 }
 
 /// As [`paths`], with a panel of its own for each layout, in the order in which they first appear; at most 64.
@@ -76,24 +68,18 @@ pub fn paths_by_layout(world: &World, runs: &[PlottedRun], options: &PathsOption
             let chosen: Vec<PlottedRun> = runs.iter().filter(|run| run.layout == *layout).cloned().collect();
             let counts = world::counts(&chosen).replacen(", 1 layout", "", 1);
             let side_px = options.long_side_px.clamp(200, 8000) / columns as u32;
-            let frame = Frame {
-                titles: [layout, &counts],
-                long_side_px: side_px,
-                right_px: 0,
-                legend: Vec::new(),
-                axis_titles: false,
-            };
-            panel(world, &chosen, runs, frame)
+            let frame = Frame { titles: [layout, &counts], right_px: 0, legend: Vec::new(), axis_titles: false };
+            panel(world, &chosen, runs, side_px, frame)
         })
         .collect();
     let mut legend = world::world_legend(world);
     legend.extend(way_legend(runs));
-    tiled(&panels, columns, [&options.title, &(world::counts(runs) + SHARES)], &legend)
+    chrome::tiled(&panels, columns, [&options.title, &(world::counts(runs) + SHARES)], &legend)
 }
 
 /// One map: the size is that of a map of all `runs`, so that panels agree.
-fn panel(world: &World, shown: &[PlottedRun], runs: &[PlottedRun], frame: Frame) -> Picture {
-    let mut map = Map::new(world, runs, frame);
+fn panel(world: &World, shown: &[PlottedRun], runs: &[PlottedRun], side_px: u32, frame: Frame) -> Picture {
+    let mut map = Map::new(world, runs, side_px, frame);
     map.draw_floor(world);
     map.draw_world(world);
     let width_px = if shown.len() > 30 { 1.8 } else { 3.2 };
@@ -117,6 +103,7 @@ fn panel(world: &World, shown: &[PlottedRun], runs: &[PlottedRun], frame: Frame)
             }
         }
     }
+    map.draw_waypoints(world);
     map.draw_contacts(shown);
     map.picture
 }
@@ -133,26 +120,4 @@ fn way_legend(runs: &[PlottedRun]) -> Vec<(Sign, String)> {
     let marks = [(Sign::Start, "start"), (Sign::End, "end"), (Sign::Contact, "contact")];
     entries.extend(marks.map(|(sign, words)| (sign, words.to_owned())));
     entries
-}
-
-/// Pictures row by row under two titles, a legend below.
-fn tiled(pictures: &[Picture], columns: usize, titles: [&str; 2], legend: &[(Sign, String)]) -> Picture {
-    let size = |pick: fn((u32, u32)) -> u32| pictures.iter().map(|picture| pick(picture.size_px())).max().unwrap_or(0);
-    let (cell_width, cell_height) = (size(|size| size.0).cast_signed(), size(|size| size.1).cast_signed());
-    let rows = pictures.len().div_ceil(columns.max(1)) as i32;
-    let (left, top) = (20, 60);
-    let width = (cell_width * columns as i32).max(640) + left;
-    let legend_px = chrome::legend_height_px(legend, width - 2 * left);
-    let height = top + cell_height * rows + legend_px + LEGEND_ROW_PX / 2;
-    let mut sheet = Picture::new(width as u32, height as u32);
-    for (index, (line, font)) in titles.into_iter().zip([BOLD, PLAIN]).enumerate() {
-        let line = fitted(line, width - 2 * left, font);
-        sheet.write(&line, Point::new(left, 18 + 22 * index as i32), Alignment::Left, (font, INK));
-    }
-    for (index, picture) in pictures.iter().enumerate() {
-        let (row, column) = ((index / columns) as i32, (index % columns) as i32);
-        sheet.paste(picture, Point::new(column * cell_width, top + row * cell_height));
-    }
-    chrome::legend(&mut sheet, legend, Point::new(left, top + cell_height * rows), width - 2 * left);
-    sheet
 }

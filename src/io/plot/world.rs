@@ -2,40 +2,23 @@
 //!
 //! Goes in: a world and whatever else has to fit. Comes out: [`Map`], a picture with its scale, for others to draw on.
 
-use super::chrome::{self, Area, Sign};
+use super::chrome::{self, Area, Frame, Sign};
 use super::{PlottedPoint, PlottedRun};
-use crate::io::canvas::{BOLD, INK, PLAIN, Picture, View, fitted};
+use crate::io::canvas::{Picture, View};
 use crate::signal::LayerName;
 use crate::sim::{PathLoop, World};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use embedded_graphics::text::Alignment;
 use nalgebra::Vector2;
 
 /// Farthest coordinate that is drawn: a world's own limit.
 const COORDINATE_MAX_M: f64 = 1e4;
-/// Room about the plotted world, as a share of its longer side.
-const BORDER_SHARE: f64 = 0.025;
-/// Least share of the longer side that the shorter one is given, so that titles and legends have room.
-const SHORT_SIDE_MIN: f64 = 0.3;
+/// Least shares of the longer side in x and y: titles and legends need room.
+const LEAST: Vector2<f64> = Vector2::new(0.6, 0.3);
 const WALL: Rgb888 = Rgb888::new(20, 20, 20);
 const PILLAR: Rgb888 = Rgb888::new(95, 95, 95);
 const MOVER: Rgb888 = Rgb888::new(150, 0, 150);
 const START_ZONE: Rgb888 = Rgb888::new(20, 20, 20);
-
-/// What stands around a map.
-pub(super) struct Frame<'a> {
-    /// Two lines above it.
-    pub(super) titles: [&'a str; 2],
-    /// Pixels of its longer side.
-    pub(super) long_side_px: u32,
-    /// Room to the right of it.
-    pub(super) right_px: i32,
-    /// Signs below it; what the world itself shows comes first.
-    pub(super) legend: Vec<(Sign, String)>,
-    /// Whether the axes are named.
-    pub(super) axis_titles: bool,
-}
 
 /// A map under construction.
 pub(super) struct Map {
@@ -75,47 +58,24 @@ fn bounds_m(world: &World, runs: &[PlottedRun]) -> (Vector2<f64>, Vector2<f64>) 
     if low.x > high.x {
         return (Vector2::repeat(-0.5), Vector2::repeat(0.5));
     }
-    let long_m = (high - low).max().max(0.1);
-    let least = Vector2::new(0.6, SHORT_SIDE_MIN) * long_m;
-    let missing = (least - (high - low)).sup(&Vector2::zeros()) * 0.5 + Vector2::repeat(BORDER_SHARE * long_m);
-    (low - missing, high + missing)
+    chrome::bordered(low, high, LEAST)
 }
 
 impl Map {
-    /// A map with axes, titles and legend; nothing is drawn on it yet.
-    pub(super) fn new(world: &World, runs: &[PlottedRun], frame: Frame) -> Self {
+    /// A map with axes, titles and legend, its longer side of `long_side_px`; nothing is drawn on it yet.
+    pub(super) fn new(world: &World, runs: &[PlottedRun], long_side_px: u32, mut frame: Frame) -> Self {
         let (low_m, high_m) = bounds_m(world, runs);
         let extent_m = high_m - low_m;
-        let long_side_px = f64::from(frame.long_side_px.clamp(200, 4000));
-        let pixels_per_m = long_side_px / extent_m.max();
-        let (width, height) = ((extent_m.x * pixels_per_m) as i32, (extent_m.y * pixels_per_m) as i32);
-        let mut legend = world_legend(world);
-        legend.extend(frame.legend);
-        let left = if frame.axis_titles { 84 } else { 58 };
-        let below = if frame.axis_titles { 56 } else { 30 };
-        let top = 14 + 22 * frame.titles.iter().filter(|line| !line.is_empty()).count() as i32;
-        let shown = if frame.axis_titles { legend } else { Vec::new() };
-        let picture_width = left + width + 24 + frame.right_px;
-        let legend_px = chrome::legend_height_px(&shown, picture_width - left - 24);
-        let picture_height = top + height + below + legend_px + 8;
-        let mut picture = Picture::new(picture_width as u32, picture_height as u32);
-        for (index, line) in frame.titles.iter().filter(|line| !line.is_empty()).enumerate() {
-            let font = if index == 0 { BOLD } else { PLAIN };
-            let line = fitted(line, picture_width - left - 8, font);
-            picture.write(&line, Point::new(left, 18 + 22 * index as i32), Alignment::Left, (font, INK));
-        }
-        let area = Area { left, top, right: left + width, bottom: top + height };
-        let view = View::map(Point::new(left, top + height), low_m, pixels_per_m);
-        let tick_count = |length_px: i32| (f64::from(length_px) / 70.0).max(2.0);
-        let labelled = |low: f64, high: f64, length_px: i32| {
-            let (values, decimals) = chrome::ticks(low, high, tick_count(length_px));
-            let share = |value: f64| (value - low) * pixels_per_m / f64::from(length_px);
-            values.into_iter().map(|value| (share(value), chrome::number(value, decimals))).collect::<Vec<_>>()
-        };
+        let pixels_per_m = f64::from(long_side_px.clamp(200, 4000)) / extent_m.max();
+        let (width, height) = ((extent_m.x * pixels_per_m).round() as i32, (extent_m.y * pixels_per_m).round() as i32);
+        frame.legend.splice(0..0, world_legend(world));
+        let (mut picture, area) = frame.sheet(width, height);
         let [x_title, y_title] = if frame.axis_titles { ["x (m)", "y (m)"] } else { ["", ""] };
-        area.axis_below(&mut picture, &labelled(low_m.x, high_m.x, width), x_title);
-        area.axis_left(&mut picture, &labelled(low_m.y, high_m.y, height), y_title);
-        chrome::legend(&mut picture, &shown, Point::new(left, top + height + below), picture_width - left - 24);
+        // The area is a whole number of pixels, which the world need not be.
+        let (width_m, height_m) = (f64::from(width) / pixels_per_m, f64::from(height) / pixels_per_m);
+        area.axis_below(&mut picture, &chrome::axis_ticks(low_m.x, low_m.x + width_m, width), x_title);
+        area.axis_left(&mut picture, &chrome::axis_ticks(low_m.y, low_m.y + height_m, height), y_title);
+        let view = View::map(Point::new(area.left, area.bottom), low_m, pixels_per_m);
         Self { picture, view, area }
     }
 
@@ -134,7 +94,7 @@ impl Map {
         }
     }
 
-    /// Draws what stands in the world and where the run begins and leads to.
+    /// Draws what stands in the world and where the run begins.
     pub(super) fn draw_world(&mut self, world: &World) {
         for wall in &world.walls {
             for (from, to) in wall.pieces() {
@@ -156,6 +116,10 @@ impl Map {
         if let (Some(low), Some(high)) = (place_m(x_m, y_m), place_m(x_m + size_m[0], y_m + size_m[1])) {
             chrome::dashed_frame(&mut self.picture, self.view.place(low), self.view.place(high), START_ZONE);
         }
+    }
+
+    /// Draws where the run leads to.
+    pub(super) fn draw_waypoints(&mut self, world: &World) {
         for (index, waypoint) in world.waypoints.iter().enumerate() {
             if let Some(place) = place_m(waypoint[0], waypoint[1]) {
                 let place = self.view.place(place);
