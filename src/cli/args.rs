@@ -1,5 +1,9 @@
 //! The command line as it may be typed (specification, section 11).
 
+mod simulate;
+
+pub use simulate::{ConditionArguments, SimulateArguments};
+
 use crate::imaging::params::Prefer;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -10,7 +14,8 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:
   noctule demo                                   drive the simulated robot until Ctrl-C
   noctule run --config robot.toml --source live  the daemon on a robot
-  noctule process a.npy --config robot.toml --out images --png")]
+  noctule process a.npy --config robot.toml --out images --png
+  noctule simulate office --layout all --runs 5  prove sensor layouts, faster than real time")]
 pub struct Arguments {
     /// What to do.
     #[command(subcommand)]
@@ -40,6 +45,8 @@ pub enum Command {
     Reset(OperatorArguments),
     /// Image recordings into NumPy files.
     Process(ProcessArguments),
+    /// Drive simulated robots through a world and score them; rank sensor layouts.
+    Simulate(SimulateArguments),
     /// Write the masks of the control regions, as arrays and pictures.
     Masks(MasksArguments),
     /// Time the stages and the whole ping, CPU and GPU side by side.

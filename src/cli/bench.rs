@@ -126,6 +126,7 @@ fn measure(config: &Config, count: usize, prefer: Prefer, iterations: u32) -> Re
     let options = ImagerOptions { threads: None, gpu_deadline_ms: DEADLINE_MS };
     let mut imager = Imager::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), prefer, options)
         .map_err(|error| backend_failure(&error))?;
+    imager.announce();
     let pings = simulated_pings(&config, &setup)?;
     let times = run_sets(&config, &mut imager, &masks, &pings, iterations)?;
     let report = imager.report();

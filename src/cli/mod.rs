@@ -12,6 +12,7 @@ mod masks;
 mod output;
 mod process;
 mod run;
+mod simulate;
 mod topics;
 
 pub use args::{Arguments, Command};
@@ -113,6 +114,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Stop(arguments) => run::operator(&arguments, run::Request::Stop),
         Command::Reset(arguments) => run::operator(&arguments, run::Request::Reset),
         Command::Process(arguments) => process::process(&arguments),
+        Command::Simulate(arguments) => simulate::simulate(&arguments),
         Command::Masks(arguments) => masks::masks(&arguments),
         Command::Bench(arguments) => bench::bench(&arguments),
         Command::Topics(arguments) => topics::topics(&arguments),

@@ -1,6 +1,8 @@
 //! Writing results: NumPy arrays, progress, folders. Every file appears complete or not at all.
 
 use super::{Failure, exit};
+use crate::io::encode_png;
+use crate::io::picture::Picture;
 use indicatif::{ProgressBar, ProgressStyle};
 use npyz::WriterBuilder as _;
 use std::fs::File;
@@ -58,7 +60,8 @@ impl NewFile {
         Ok(())
     }
 
-    fn failure(&self, error: &std::io::Error) -> Failure {
+    /// The failure for bytes that could not be written.
+    pub fn failure(&self, error: &std::io::Error) -> Failure {
         Failure::new(exit::IO, format!("{}: {error}", self.path.display()))
     }
 }
@@ -105,6 +108,16 @@ pub fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), Failure>
     let mut file = NewFile::create(path)?;
     let text = format!("{value:#}\n");
     file.write_all(text.as_bytes()).map_err(|error| file.failure(&error))?;
+    file.finish()
+}
+
+/// Writes a picture as PNG.
+///
+/// # Errors
+/// Exit 73, 74 or 77.
+pub fn write_picture(path: &Path, picture: &Picture) -> Result<(), Failure> {
+    let mut file = NewFile::create(path)?;
+    encode_png(&mut file, picture).map_err(|error| file.failure(&error))?;
     file.finish()
 }
 

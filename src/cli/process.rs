@@ -91,6 +91,7 @@ impl Job<'_> {
         let masks = Arc::new(MaskTable::default());
         let mut imager =
             Imager::open(Arc::clone(&setup.plan), masks, prefer, OFFLINE).map_err(|error| backend_failure(&error))?;
+        imager.announce();
         make_folder(self.folder)?;
         let images = self.images(&mut recording, &mut imager, &setup)?;
         self.write_axes(&setup.plan.grid)?;

@@ -102,7 +102,6 @@ impl Imager {
             Some(gpu) => gpu.report().clone(),
             None => BackendReport { reason: cpu_reason.to_owned(), ..cpu.report().clone() },
         };
-        log::info!("imaging on {} ({}): {}", report.kind.as_str(), report.adapter, report.reason);
         let image = Image::empty(&plan, &masks);
         Ok(Self {
             plan,
@@ -189,6 +188,12 @@ impl Imager {
     #[must_use]
     pub fn plan(&self) -> &Arc<ImagingPlan> {
         &self.plan
+    }
+
+    /// Logs which backend was taken, on what, and why: once a program, by whoever opens the first imager.
+    pub fn announce(&self) {
+        let BackendReport { kind, adapter, reason, .. } = &self.report;
+        log::info!("imaging on {} ({adapter}): {reason}", kind.as_str());
     }
 
     /// Which backend is in use, on what, and why.

@@ -278,8 +278,15 @@ impl DrawTarget for Picture {
 /// # Errors
 /// What the file system or the encoder says.
 pub fn write_png(path: &Path, picture: &Picture) -> std::io::Result<()> {
-    let file = std::io::BufWriter::new(std::fs::File::create(path)?);
-    let mut encoder = png::Encoder::new(file, picture.width, picture.height);
+    encode_png(std::io::BufWriter::new(std::fs::File::create(path)?), picture)
+}
+
+/// Writes a PNG to wherever its bytes are to go.
+///
+/// # Errors
+/// What the writer or the encoder says.
+pub fn encode_png(to: impl std::io::Write, picture: &Picture) -> std::io::Result<()> {
+    let mut encoder = png::Encoder::new(to, picture.width, picture.height);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
     let mut writer = encoder.write_header()?;

@@ -8,7 +8,7 @@
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`source`] | where ping sets come from |
-//! | [`recording_file`], [`picture`], [`plot`] | files in, pictures out |
+//! | [`recording_file`], [`picture`], [`plot`], [`plot_layouts`] | files in, pictures out |
 
 mod canvas;
 pub mod clients;
@@ -19,6 +19,7 @@ pub mod node;
 pub mod params;
 pub mod picture;
 pub mod plot;
+pub mod plot_layouts;
 mod polar;
 pub mod raw_topics;
 pub mod recording_file;
@@ -29,6 +30,7 @@ pub mod status_topics;
 pub mod topics;
 pub mod wire;
 
+pub use canvas::encode_png;
 pub use clients::{ControllerTopics, InputPublisher, OperatorClient, PlatformSubscriber};
 pub use daemon_topics::DaemonTopics;
 pub use echo::{Echo, EchoLimit};

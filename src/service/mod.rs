@@ -4,6 +4,9 @@
 //! ([`acquisition`], [`handoff`]). The *deciding* thread images, decides and publishes ([`decision`], around
 //! [`pipeline`]). The *watching* thread is the caller's: it waits for the end and ends the process when one of the others
 //! dies or hangs, since a daemon with a thread missing must not go on.
+//!
+//! The same pipeline is driven in simulation, faster than real time: one robot in [`trial`], many in [`proving`], and
+//! sensor layouts are ranked by that in [`sweep`].
 
 pub mod acquisition;
 pub mod decision;
@@ -12,8 +15,10 @@ pub mod health;
 pub mod latency;
 pub mod pipeline;
 pub mod plots;
+pub mod proving;
 pub mod regions;
 pub mod supervisor;
+pub mod sweep;
 pub mod trial;
 pub mod wiring;
 
@@ -121,6 +126,7 @@ pub fn run(
     let topics = DaemonTopics::open(&ipc, &names, &cells)?;
     let options = ImagerOptions { threads: None, gpu_deadline_ms: config.safety.gpu_deadline().as_millis() as u64 };
     let imager = Imager::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), prefer, options)?;
+    imager.announce();
     let source = open_source(config, &setup, source, &ipc)?;
     log::info!("source: {}", source.describe());
     let empty = Delivered { pings: empty_ping_set(&setup), wanted: None };

@@ -11,6 +11,7 @@ use super::{ServiceError, simulator};
 use crate::config::Config;
 use crate::flow::MaskSet;
 use crate::geometry::Pose2;
+use crate::imaging::backend::{BackendError, BackendReport};
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
 use crate::safety::{CommandSample, DaemonEvent, Gate, GateEvent, GateParams, GateState, MotionLimits, OperatorEvent};
@@ -30,6 +31,8 @@ const START_SETS_MAX: u32 = 100;
 /// Start of the simulated clock: not zero, which would make every age of a missing stamp look small.
 const CLOCK_START_NS: u64 = 1_000_000_000_000;
 const EPOCH: u64 = 1;
+/// A GPU that takes longer than this for a ping set hangs.
+const GPU_PATIENCE_MS: u64 = 10_000;
 /// A mover within this distance of the footprint counts as in the way.
 const MOVER_NEAR_M: f64 = 1.0;
 /// Smallest commanded turn that counts as one when changes of sign are counted.
@@ -170,6 +173,16 @@ impl TrialRig {
         &self.masks
     }
 
+    /// Opens the backend that a trial would have, says which it was and lets it go.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn backend(&self, prefer: Prefer) -> Result<BackendReport, ServiceError> {
+        let imager = open_imager(&self.setup, &self.masks, prefer)?;
+        imager.announce();
+        Ok(imager.report().clone())
+    }
+
     /// Drives until contact, goal or time limit. `watch` sees every ping set and ends the trial early by returning false.
     ///
     /// # Errors
@@ -185,6 +198,13 @@ impl TrialRig {
         while !drive.simulator.finished() && drive.step(options, watch)? {}
         Ok(drive.finish(options.seed))
     }
+}
+
+/// An imager of one thread. Simulated time waits for a GPU: a deadline in real time would make the result depend on the
+/// machine's load.
+fn open_imager(setup: &SensingSetup, masks: &MaskSet, prefer: Prefer) -> Result<Imager, BackendError> {
+    let options = ImagerOptions { threads: Some(1), gpu_deadline_ms: GPU_PATIENCE_MS };
+    Imager::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), prefer, options)
 }
 
 /// A trial under way.
@@ -208,10 +228,8 @@ impl Drive {
     fn new(rig: &TrialRig, world: World, options: &TrialOptions) -> Result<Self, ServiceError> {
         let (config, setup) = (&rig.config, &rig.setup);
         let simulator = simulator(config, setup, world, options.acoustics, options.seed)?;
-        let imager_options =
-            ImagerOptions { threads: Some(1), gpu_deadline_ms: config.safety.gpu_deadline().as_millis() as u64 };
         let masks = rig.masks.clone();
-        let imager = Imager::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), options.prefer, imager_options)?;
+        let imager = open_imager(setup, &masks, options.prefer)?;
         let start = stamp(CLOCK_START_NS);
         let platform = &config.platform;
         let limits = MotionLimits {
