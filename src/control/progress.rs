@@ -15,6 +15,8 @@ use std::f64::consts::PI;
 const ASKED_MIN_M_S: f64 = 0.01;
 /// Slowest wanted turn that does.
 const ASKED_MIN_RAD_S: f64 = 0.05;
+/// A turn that CA rather goes on with than takes back.
+const LONG_TURN_RAD: f64 = 1.0;
 /// Times that CA may begin to turn the robot without progress in between.
 const AVOIDANCES_MAX: u32 = 3;
 /// Longest turn out of a corner: by then every direction was tried.
@@ -23,8 +25,8 @@ const CORNER_MAX_RAD: f64 = 2.0 * PI;
 const NEW_HEADING_S: f64 = 1.5;
 /// Silent ping sets in a row that end a turn out of a corner before its time.
 const CLEAR_COUNT_MIN: u32 = 3;
-/// What collision avoidance may turn before it counts as stuck: what was ahead is then well abeam.
-const AVOIDING_MAX_RAD: f64 = 1.9;
+/// What collision avoidance may turn before it counts as stuck: what was ahead is then well behind.
+const AVOIDING_MAX_RAD: f64 = 2.6;
 /// What counts as progress while nothing but turning is asked for.
 const TURNED_MIN_RAD: f64 = 0.5;
 
@@ -77,8 +79,9 @@ pub(super) struct Progress {
     avoided: Option<f64>,
     avoidance_count: u32,
     avoidance_turn: f64,
-    /// Heading when CA began to turn the robot, and whether it may go on undisturbed.
+    /// Heading when CA began to turn the robot, how far it has turned since, and whether it may go on undisturbed.
     avoided_from_rad: f64,
+    turned_away_rad: f64,
     turns_away: bool,
     /// Ping sets in a row in which the CA region was silent during an escape.
     clear_count: u32,
@@ -101,6 +104,7 @@ impl Progress {
             avoidance_count: 0,
             avoidance_turn: 1.0,
             avoided_from_rad: 0.0,
+            turned_away_rad: 0.0,
             turns_away: false,
             clear_count: 0,
         }
@@ -126,8 +130,8 @@ impl Progress {
         if begins {
             self.avoided_from_rad = heading_rad;
         }
-        let turned_away_rad = wrap_angle_rad(self.pose.heading_rad - self.avoided_from_rad).abs();
-        self.turns_away = avoidance.turn.is_some() && turned_away_rad < AVOIDING_MAX_RAD;
+        self.turned_away_rad = wrap_angle_rad(self.pose.heading_rad - self.avoided_from_rad).abs();
+        self.turns_away = avoidance.turn.is_some() && self.turned_away_rad < AVOIDING_MAX_RAD;
         if let Some(Escape::Turn { turn, turned_rad, left_rad }) = &mut self.escape {
             let step_rad = *turn * wrap_angle_rad(self.pose.heading_rad - heading_rad);
             *turned_rad += step_rad;
@@ -145,7 +149,7 @@ impl Progress {
             self.avoidance_count = self.avoidance_count.saturating_add(1);
         }
         self.avoidance_turn = avoidance.turn.unwrap_or(self.avoidance_turn);
-        if ends && turned_away_rad >= TURNED_MIN_RAD {
+        if ends && self.turned_away_rad >= TURNED_MIN_RAD {
             // A new heading is given the time to prove itself.
             self.since_progress_s = self.since_progress_s.min(self.params.time_s - NEW_HEADING_S);
         }
@@ -205,6 +209,8 @@ impl Progress {
         }
         let turn = match (self.turn_count, self.avoidance_count) {
             (0, 0 | 1) => preferred,
+            // A long turn is not taken back.
+            (0, _) if self.turned_away_rad >= LONG_TURN_RAD => self.avoidance_turn,
             // Away from the nearest reflection did not help, however often.
             (0, _) => -self.avoidance_turn,
             _ => -self.last_turn,
