@@ -55,7 +55,7 @@ const COMMENTS: &[(&str, &str)] = &[
     ("platform.max_angular_accel_rad_s2", "Largest change of turn rate."),
     (
         "control",
-        "The layered controller. A layer whose table says enabled = false is off. Regions are shapes in the robot\n# frame: rectangle, circle, half-circle, sector, trapezoid, polygon; flow-lines for flow following. Left out,\n# they follow from [platform]. One set of thresholds serves every sensor layout: energies are amplitudes after\n# the gain of [control.energy], and a large wall reads 0.1 at any range. Where it reads otherwise, change\n# thresholds, releases, prominence and energy_reference in proportion.",
+        "The layered controller. A layer whose table says enabled = false is off. Regions are shapes in the robot\n# frame: rectangle, circle, half-circle, sector, trapezoid, polygon; flow-lines for flow following. Left out,\n# or left as they are here, they follow from [platform]. One set of thresholds serves every sensor layout:\n# energies are amplitudes after the gain of [control.energy], and a large wall reads 0.1 at any range. Where it\n# reads otherwise, change thresholds, releases, prominence and energy_reference in proportion.",
     ),
     ("control.rate_hz", "Ping sets a second."),
     ("control.collision_avoidance", "Turn away on the spot; from the fourth time in a row a little backward."),
