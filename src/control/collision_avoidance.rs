@@ -17,6 +17,8 @@ const REVERSE_MARGIN_M: f64 = 0.1;
 
 /// How much farther than the deaf range what falls silent may have been heard last: a walker's way between two ping sets.
 const HIDING_M: f64 = 0.15;
+/// Turn after which the way straight on passes what is hidden: 60 deg, at half a metre from centre to centre.
+const HIDDEN_TURN_RAD: f64 = 1.05;
 
 /// Periods that a command may live before the next one or the age limit ends it: what the reverse budget must have left.
 const PERIODS_HELD_MAX: f64 = 3.0;
@@ -36,7 +38,7 @@ pub struct CollisionAvoidance {
     last_range_m: f64,
     /// Whether silence would mean that it is too near to be heard.
     hides: bool,
-    /// Turned since then; what was ahead is abeam after a quarter turn.
+    /// Turned since then.
     turned_unheard_rad: f64,
     /// Spent since the region was clear.
     reversed_m: f64,
@@ -89,7 +91,7 @@ impl CollisionAvoidance {
             return false;
         }
         self.turned_unheard_rad += situation.last.angular_rad_s.abs() * situation.elapsed_s;
-        self.switch.is_on() && self.hides && self.turned_unheard_rad < std::f64::consts::FRAC_PI_2
+        self.switch.is_on() && self.hides && self.turned_unheard_rad < HIDDEN_TURN_RAD
     }
 
     /// Whether one more command to reverse stays within the budget and within what is seen behind, however long it lives.
