@@ -180,7 +180,12 @@ fn the_side_is_held_until_the_region_is_clear() {
 fn what_comes_too_near_to_be_heard_is_still_there() {
     let unheard_steps = |last_m: f64, range_m: f64| {
         let mut bench = Bench::new(|params| params.stuck.enabled = false);
-        for distance_m in [0.40, last_m] {
+        // The robot stands: what it hears coming nearer walks.
+        bench.cues.collision = cue(1.0, 0.0, 0.1, 1);
+        for _ in 0..10 {
+            bench.step(FORWARD);
+        }
+        for distance_m in [0.40, 0.5 * (0.40 + last_m), last_m] {
             bench.cues.collision = cue(1.0, 0.0, 0.1, 1);
             bench.cues.collision.nearest =
                 bench.cues.collision.nearest.map(|n| NearestReflection { distance_m, range_m, ..n });
@@ -191,7 +196,7 @@ fn what_comes_too_near_to_be_heard_is_still_there() {
     };
     // A quarter turn at 0.5 rad/s takes 31 steps.
     assert!((31..=36).contains(&unheard_steps(0.27, 0.35)), "{}", unheard_steps(0.27, 0.35));
-    assert!(unheard_steps(0.35, 0.35) <= 3, "{}", unheard_steps(0.35, 0.35));
+    assert!(unheard_steps(0.38, 0.35) <= 3, "{}", unheard_steps(0.38, 0.35));
     assert!(unheard_steps(0.27, 0.6) <= 3, "heard far from where the sensors are deaf");
 }
 

@@ -403,7 +403,8 @@ fn driven_blindly(name: &str, radius_m: f64, with_movers: bool, seed: u64) -> no
 #[test]
 fn the_ways_of_the_harder_worlds_are_as_wide_as_they_say() {
     for (name, radius_m, gap_m) in [
-        ("narrow_doors.toml", 0.1, 0.02),
+        // 5 cm on either side, less what the guidance cuts corners.
+        ("narrow_doors.toml", 0.1, 0.005),
         ("crossing.toml", 0.2, 0.3),
         ("warehouse.toml", 0.2, 0.2),
         ("apartment.toml", 0.2, 0.1),

@@ -1,10 +1,12 @@
 //! Whether the nearest reflection comes nearer of itself: somebody walks towards the robot.
 //!
-//! Goes in: the nearest reflections of a ping set and what was driven since the last one. Comes out: a yes for as long as it
+//! Goes in: the nearest reflections of a ping set, where the robot is and what was commanded. Comes out: a yes for as long as it
 //! is worth remembering. The footprint is a disc, so the robot's own turning brings nothing nearer; its driving brings things
 //! nearer by at most its speed, and what is more than that has moved. Knows no law and keeps no places.
 
+use crate::geometry::Pose2;
 use crate::signal::{Cues, Velocity};
+use nalgebra::Vector2;
 
 /// What must be left over between two ping sets: the range axis is right to 1 mm, and a cell is 5 mm deep. A walker makes 3 cm
 /// at 0.3 m/s.
@@ -20,16 +22,23 @@ const KEPT_S: f64 = 1.0;
 #[derive(Debug, Clone, Default)]
 pub(super) struct Approach {
     last_m: Option<f64>,
+    place_m: Option<Vector2<f64>>,
+    /// What is left of the speed commanded last, while the robot brakes.
+    speed_m_s: f64,
     run: u32,
     left_s: f64,
 }
 
 impl Approach {
-    /// Takes one ping set; `last` is the velocity commanded since the one before.
-    pub(super) fn observe(&mut self, cues: &Cues, last: Velocity, elapsed_s: f64) {
+    /// Takes one ping set; `last` is the velocity commanded since the one before, `decel_m_s2` how fast the robot brakes: a command to
+    /// stand is not obeyed at once, and without odometry nothing else tells how far it still rolls.
+    pub(super) fn observe(&mut self, cues: &Cues, pose: &Pose2, last: Velocity, decel_m_s2: f64, elapsed_s: f64) {
         let nearest = [cues.collision.nearest, cues.obstacle.nearest, cues.corridor.nearest];
         let nearest_m = nearest.iter().flatten().map(|nearest| nearest.distance_m).min_by(f64::total_cmp);
-        let own_m = last.linear_m_s.abs() * elapsed_s;
+        let moved_m = self.place_m.map_or(0.0, |place_m| (pose.position_m() - place_m).norm());
+        self.place_m = Some(pose.position_m());
+        self.speed_m_s = last.linear_m_s.abs().max(self.speed_m_s - decel_m_s2 * elapsed_s);
+        let own_m = moved_m.max(self.speed_m_s * elapsed_s);
         let nearer_m = self.last_m.zip(nearest_m).map(|(before_m, now_m)| before_m - now_m - own_m);
         let comes = nearer_m.is_some_and(|nearer_m| (STEP_MIN_M..=SPEED_MAX_M_S * elapsed_s).contains(&nearer_m));
         // Silence is no departure: what came may be too near to be heard.
@@ -63,7 +72,8 @@ mod tests {
                 lead_m: f64::INFINITY,
             };
             let corridor = LayerCue { nearest: Some(nearest), ..LayerCue::default() };
-            approach.observe(&Cues { corridor, ..Cues::default() }, Velocity::forward_m_s(speed_m_s), 0.1);
+            let cues = Cues { corridor, ..Cues::default() };
+            approach.observe(&cues, &Pose2::default(), Velocity::forward_m_s(speed_m_s), 1.0, 0.1);
         }
         approach.is_seen()
     }

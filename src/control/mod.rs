@@ -120,12 +120,13 @@ impl Controller {
             return self.stop(cues);
         }
         let wanted = limits::within_platform(wanted, &self.platform);
-        self.approach.observe(cues, self.last, elapsed_s);
-        let approaching = self.approach.is_seen();
         let collision = f64::from(cues.collision.energy);
         let is_clear = !layer::is_above(collision, self.params.collision_avoidance.release);
         let avoidance = Avoidance { turn: self.avoided, is_clear };
         self.progress.observe(odometry, self.last, wanted, &avoidance, elapsed_s);
+        let decel_m_s2 = self.platform.max_linear_accel_m_s2;
+        self.approach.observe(cues, &self.progress.pose(), self.last, decel_m_s2, elapsed_s);
+        let approaching = self.approach.is_seen();
         // Who walks does not stay there.
         let avoided = cues.collision.nearest.filter(|_| self.avoided.is_some() && !approaching);
         let beside = cues.obstacle.nearest.filter(|nearest| {
