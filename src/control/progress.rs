@@ -15,10 +15,18 @@ use std::f64::consts::PI;
 const ASKED_MIN_M_S: f64 = 0.01;
 /// Slowest wanted turn that does.
 const ASKED_MIN_RAD_S: f64 = 0.05;
+/// A turn that CA rather goes on with than takes back.
+const LONG_TURN_RAD: f64 = 1.0;
+/// Times that CA may begin to turn the robot without progress in between.
+const AVOIDANCES_MAX: u32 = 3;
+/// Longest turn out of a corner: by then every direction was tried.
+const CORNER_MAX_RAD: f64 = 2.0 * PI;
+/// Time to drive off in, after CA has turned the robot.
+const NEW_HEADING_S: f64 = 1.5;
 /// Silent ping sets in a row that end a turn out of a corner before its time.
 const CLEAR_COUNT_MIN: u32 = 3;
-/// What collision avoidance may turn before it counts as stuck: what was ahead is then well abeam.
-const AVOIDING_MAX_RAD: f64 = 1.9;
+/// What collision avoidance may turn before it counts as stuck: what was ahead is then well behind.
+const AVOIDING_MAX_RAD: f64 = 2.6;
 /// What counts as progress while nothing but turning is asked for.
 const TURNED_MIN_RAD: f64 = 0.5;
 
@@ -29,7 +37,7 @@ const LET_GO_S: f64 = 4.0;
 #[derive(Debug, Clone, Copy)]
 enum Escape {
     LetGo { left_s: f64 },
-    Turn { turn: f64, left_rad: f64 },
+    Turn { turn: f64, turned_rad: f64, left_rad: f64 },
 }
 
 /// What a stuck robot does.
@@ -71,6 +79,10 @@ pub(super) struct Progress {
     avoided: Option<f64>,
     avoidance_count: u32,
     avoidance_turn: f64,
+    /// Heading when CA began to turn the robot, how far it has turned since, and whether it may go on undisturbed.
+    avoided_from_rad: f64,
+    turned_away_rad: f64,
+    turns_away: bool,
     /// Ping sets in a row in which the CA region was silent during an escape.
     clear_count: u32,
 }
@@ -91,13 +103,17 @@ impl Progress {
             avoided: None,
             avoidance_count: 0,
             avoidance_turn: 1.0,
+            avoided_from_rad: 0.0,
+            turned_away_rad: 0.0,
+            turns_away: false,
             clear_count: 0,
         }
     }
 
     /// Takes note of one ping set: what was commanded since the last one, what is asked for now, and what CA did and hears.
     ///
-    /// The first time that CA turns the robot away from something counts as progress, up to [`AVOIDING_MAX_RAD`].
+    /// The first time that CA turns the robot away from something counts as progress, up to [`AVOIDING_MAX_RAD`]; a later such turn is
+    /// not disturbed, but counts as time without progress.
     pub(super) fn observe(
         &mut self,
         odometry: Option<Pose2>,
@@ -108,14 +124,21 @@ impl Progress {
     ) {
         let heading_rad = self.pose.heading_rad;
         self.advance(odometry, last, elapsed_s);
-        let turned_rad = wrap_angle_rad(self.pose.heading_rad - self.anchor.heading_rad).abs();
         let begins = avoidance.turn.is_some() && self.avoided.is_none();
+        let ends = avoidance.turn.is_none() && self.avoided.is_some();
         self.avoided = avoidance.turn;
-        if let Some(Escape::Turn { turn, left_rad }) = &mut self.escape {
-            *left_rad -= *turn * wrap_angle_rad(self.pose.heading_rad - heading_rad);
+        if begins {
+            self.avoided_from_rad = heading_rad;
+        }
+        self.turned_away_rad = wrap_angle_rad(self.pose.heading_rad - self.avoided_from_rad).abs();
+        self.turns_away = avoidance.turn.is_some() && self.turned_away_rad < AVOIDING_MAX_RAD;
+        if let Some(Escape::Turn { turn, turned_rad, left_rad }) = &mut self.escape {
+            let step_rad = *turn * wrap_angle_rad(self.pose.heading_rad - heading_rad);
+            *turned_rad += step_rad;
+            *left_rad -= step_rad;
             self.clear_count = if avoidance.is_clear { self.clear_count.saturating_add(1) } else { 0 };
             let silent = self.avoidance_count > 0 && self.clear_count >= CLEAR_COUNT_MIN;
-            let found = silent && turned_rad >= TURNED_MIN_RAD;
+            let found = silent && *turned_rad >= TURNED_MIN_RAD;
             if found || !(*left_rad > 0.0) {
                 self.escape = None;
                 self.restart();
@@ -126,7 +149,11 @@ impl Progress {
             self.avoidance_count = self.avoidance_count.saturating_add(1);
         }
         self.avoidance_turn = avoidance.turn.unwrap_or(self.avoidance_turn);
-        let turns_away = self.avoidance_count == 1 && avoidance.turn.is_some() && turned_rad < AVOIDING_MAX_RAD;
+        if ends && self.turned_away_rad >= TURNED_MIN_RAD {
+            // A new heading is given the time to prove itself.
+            self.since_progress_s = self.since_progress_s.min(self.params.time_s - NEW_HEADING_S);
+        }
+        let turned_rad = wrap_angle_rad(self.pose.heading_rad - self.anchor.heading_rad).abs();
         let moved_m = (self.pose.position_m() - self.anchor.position_m()).norm();
         let driving = wanted.linear_m_s.abs() >= ASKED_MIN_M_S;
         self.driving_asked |= driving;
@@ -137,7 +164,7 @@ impl Progress {
         } else if moved_m >= self.params.distance_m {
             self.restart();
             (self.escape_count, self.turn_count) = (0, 0);
-        } else if !turns_away {
+        } else if !(self.turns_away && self.avoidance_count <= 1) {
             self.since_progress_s += elapsed_s;
         }
         if let Some(Escape::LetGo { left_s }) = &mut self.escape {
@@ -155,7 +182,16 @@ impl Progress {
 
     /// Whether the robot is stuck or on its way out.
     pub(super) fn is_stuck(&self) -> bool {
-        self.escape.is_some() || (self.params.enabled && self.since_progress_s >= self.params.time_s)
+        self.escape.is_some() || (self.params.enabled && (self.is_cornered() || self.is_late()))
+    }
+
+    /// Turned away again and again, and each time back into it.
+    fn is_cornered(&self) -> bool {
+        self.avoidance_count >= AVOIDANCES_MAX
+    }
+
+    fn is_late(&self) -> bool {
+        !self.turns_away && self.since_progress_s >= self.params.time_s
     }
 
     /// What a stuck robot does now. `preferred` is the side of the first turn after progress, +1 or -1.
@@ -173,14 +209,18 @@ impl Progress {
         }
         let turn = match (self.turn_count, self.avoidance_count) {
             (0, 0 | 1) => preferred,
+            // A long turn is not taken back.
+            (0, _) if self.turned_away_rad >= LONG_TURN_RAD => self.avoidance_turn,
             // Away from the nearest reflection did not help, however often.
             (0, _) => -self.avoidance_turn,
             _ => -self.last_turn,
         };
         let first_rad = self.params.escape_turn_deg.to_radians();
-        let left_rad = (first_rad * (1.0 + 0.5 * f64::from(self.turn_count.min(4)))).min(PI);
+        let longer = 1.0 + 0.5 * f64::from(self.turn_count.min(4));
+        // Out of a corner the turn ends where nothing is near; else where its angle ends.
+        let left_rad = if self.avoidance_count > 0 { CORNER_MAX_RAD } else { (first_rad * longer).min(PI) };
         self.clear_count = 0;
-        (self.escape, self.last_turn) = (Some(Escape::Turn { turn, left_rad }), turn);
+        (self.escape, self.last_turn) = (Some(Escape::Turn { turn, turned_rad: 0.0, left_rad }), turn);
         self.turn_count = self.turn_count.saturating_add(1);
         WayOut::Turn(turn)
     }
