@@ -26,10 +26,23 @@
 //! | [`flow`] | how echoes move, regions, masks, cues | know how images are made |
 //! | [`control`] | cues to decisions, four layers | do I/O, read a clock, be random |
 //! | [`safety`] | state machines of daemon and controller process | do anything but decide |
-//! | [`sim`] | a world that makes microphone signals | import what it tests |
-//! | [`io`] | shared memory, files | decide |
+//! | [`sim`] | a world that makes microphone signals, a robot and guidance in it, a score | import what it tests |
+//! | [`io`] | shared memory, files, pictures | decide |
 //! | [`config`] | one TOML file to parameters | hold a default of its own where a module has one |
-//! | [`service`] | the daemon: wiring, threads, health | hold science |
+//! | [`service`] | the daemon: wiring, threads, health; the proving ground: many daemons in simulation | hold science |
+//!
+//! Inside [`sim`], `echo/` makes the signals, a file for each piece of physics, which is where to look what is simulated and how
+//! well: `path` (mirror images, corners, multipath), `edge`, `cylinder`, `directivity`, `air`, `sight` (what hides what),
+//! `motion`, `waveform` (exact delays), `noise`, `jammer`, `pdm`; `world` reads world files, `guidance` makes the wanted velocity,
+//! `score` judges.
+//!
+//! Inside [`control`], beside a file for each layer: [`control::default_regions`] (the rule of regions, thresholds and gains),
+//! `detour` (places that are being passed), `approach` (who walks up), `progress` (stuck), `limits`.
+//!
+//! The proving ground, from the bottom: [`service::trial`] drives one robot through one world on simulated clocks, with the
+//! pipeline and the gate of the daemon and the controller process; [`service::proving`] drives many on a few threads; [`service::sweep`] draws sensor
+//! layouts and ranks them; [`service::plots`] turns all of these into what [`io::plot`] draws (the figures of paper 000);
+//! [`io::plot_layouts`] draws the ranking; `cli::simulate` is the command.
 //!
 //! `tests/architecture.rs` holds the import table. Compared with the first sketch of this house two leaves were added,
 //! [`parameter`] (a refused value) and [`document`] (TOML errors that point at the line), `sensor` may name `signal`'s sample

@@ -9,6 +9,7 @@ use noctule::io::wire::message::{
 };
 use noctule::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use noctule::signal::SampleFormat;
+use noctule::sim::World;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -82,12 +83,50 @@ fn the_example_of_an_error_is_a_real_one() {
     held("error", &format!("```text\n{error}\n```\n"));
 }
 
+/// What a heading is linked by: small letters, hyphens for spaces, no punctuation.
+fn anchor(heading: &str) -> String {
+    let words = heading.trim_start_matches('#').trim().to_lowercase();
+    let kept = words.chars().filter(|letter| letter.is_alphanumeric() || matches!(letter, ' ' | '-' | '_'));
+    kept.map(|letter| if letter == ' ' { '-' } else { letter }).collect()
+}
+
+#[test]
+fn the_world_on_the_page_is_one_and_every_key_of_a_world_has_its_row() {
+    let page = readme();
+    let start = page.find("```toml\nwaypoints").expect("an example of a world") + "```toml\n".len();
+    let text = &page[start..start + page[start..].find("```").expect("the example ends")];
+    let world = World::parse(Path::new("README.md"), text).expect("the README's world");
+    let has_all = !(world.walls.is_empty() || world.pillars.is_empty() || world.movers.is_empty());
+    assert!(has_all && !world.waypoints.is_empty(), "the example has one of everything");
+    let section = &page[page.find("### World files").expect("the section")..];
+    let rows: String = section.lines().filter(|line| line.starts_with("| `")).collect();
+    let toml::Value::Table(keys) = toml::Value::try_from(&world).expect("a world is TOML") else { panic!("no table") };
+    for (key, value) in keys {
+        let parts = match &value {
+            toml::Value::Array(items) => items.first().and_then(toml::Value::as_table),
+            toml::Value::Table(table) if key == "start" => Some(table),
+            _ => None,
+        };
+        let named = if value.is_array() { format!("[[{key}]]") } else { format!("[{key}]") };
+        match parts {
+            Some(parts) => parts.keys().for_each(|part| {
+                let row = section.lines().any(|line| line.starts_with(&format!("| `{named}")) && line.contains(part));
+                assert!(row, "{named} {part} has no row");
+            }),
+            None => assert!(rows.contains(&format!("`{key}`")), "{key} has no row"),
+        }
+    }
+}
+
 #[test]
 fn every_file_that_the_page_names_is_there() {
     let page = readme();
+    let anchors: Vec<String> = page.lines().filter(|line| line.starts_with('#')).map(anchor).collect();
     for target in page.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
-        if !target.starts_with("http") {
-            assert!(root().join(target).exists(), "the README links {target}");
+        match target.strip_prefix('#') {
+            Some(wanted) => assert!(anchors.iter().any(|anchor| anchor == wanted), "the README links #{wanted}"),
+            None if target.starts_with("http") => {}
+            None => assert!(root().join(target).exists(), "the README links {target}"),
         }
     }
     for test in page.split("--test ").skip(1).filter_map(|rest| rest.split(['`', ' ', '\n', ')']).next()) {

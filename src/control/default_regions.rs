@@ -1,8 +1,9 @@
-//! One rule that fits the control regions to a platform. Robot in, shapes out; robot frame, metres.
+//! One rule that fits the control regions to a platform. Robot in, shapes out; robot frame, metres. Which thresholds and gains
+//! go with them, and why they need no change from one sensor layout to another, is told at the end.
 //!
 //! R = radius, v = largest speed, a = largest deceleration, s = v Z2 + v^2 / (2 a) the way to a stop after a silent
 //! fault (safety: Z2 = 0.35 s), b = 0.30 the range nearer than which a sensor is deaf, q = max(R, 0.20) how far from
-//! the centre a sensor may stand.
+//! the centre a sensor may stand. No sensor's place goes in: one rule for every layout.
 //!
 //! - CA reaches ahead to q + b + 0.4 s v: a sensor at the footprint's rim must see an obstacle during four ping
 //!   periods before it comes so near that it is not heard any more. To the sides a specular wall is approached slowly, so
@@ -12,6 +13,32 @@
 //!   turning on until it fell silent turned the robot by some 25 deg too far.
 //! - AFF: flow lines to 2 m (R + 1.8 m at least) on either side, every 5 cm, abeam of the robot (R + 0.15 m ahead and behind):
 //!   a specular wall is heard squarely abeam, and farther ahead the lines only gather the side lobes of other echoes.
+//!
+//! # Thresholds and gains for every layout
+//!
+//! An energy is the envelope times a gain over range that undoes spreading and absorption (1 at 1 m): a wall reads the same
+//! wherever it stands; pillars and edges, which scatter, read a little less the farther they are. It is absolute: full scale is 1
+//! and a large wall on the emitter's axis 0.1. On a robot
+//! where that wall reads otherwise all thresholds, releases, the prominence and E_ref go with it, and the noise floor by as many
+//! decibels. Nothing is normalised by the ping's own maximum, so an empty hall fires nothing. What a layer compares does not
+//! depend on how many sensors there are, or errs towards stopping (figures from the simulator, one sensor):
+//!
+//! | what is compared | of several sensors | 2 cm pillar | 20 cm pillar | wall | threshold |
+//! |---|---|---|---|---|---|
+//! | OA, RCF: loudest cell, 1 to 1.3 m away | the loudest | 0.008 | 0.026 | 0.09 | 0.007, 0.02 |
+//! | CA: sum over the region | added up: fires earlier | 0.6 to 0.8 | 0.8 to 2 | 3 to 5 | 0.3 |
+//! | AFF: mean over a flow line, wall 0.8 m abeam | mean of the cells that are seen | | | 0.0058 | 0.004, both sides 0.003 |
+//! | OA's slow-down: sum over the region | E_ref for each that hears | 0.4 | 1.1 | 3.6 | 12 stops |
+//!
+//! So OA hears the thinnest pillar from where its region begins, CA has twice the energy that it needs, since at the rim of
+//! its region only part of an echo's cells are inside, and RCF leaves poles beside the way alone and keeps to walls. The
+//! turn of OA and RCF is a quotient of two sums, in which the number of sensors cancels. Gains lambda and mu are 1 for the
+//! simulated robot and 0.1 for a Husky of 0.6 m radius, both as in paper 000, and independent of the layout.
+//!
+//! Cells under the noise floor count nothing; it is given in dBFS of the envelope itself, over range, since the tail of the
+//! direct path is louder near the sensor than any noise farther out. What is 8 dB below the loudest echo at its range in the
+//! same sensor may be that one's side lobe (some 10 dB down) and is no echo; what such a lobe may hide is not free either: the
+//! way ahead counts as seen up to there only (`flow::cues`).
 
 use super::platform::PlatformLimits;
 use crate::geometry::flow_lines::FlowLinesRegion;

@@ -104,7 +104,8 @@ impl Controller {
         self.step_with_odometry(now, cues, wanted, None)
     }
 
-    /// Decides on one ping set. The pose serves to judge progress only.
+    /// Decides on one ping set. The pose serves to judge progress, who walks up, and where places lie that are being passed; without
+    /// one the commands are added up.
     ///
     /// Stands still, with layer [`LayerName::Stopped`], when the cues are older than the greatest age or more than 50 ms in
     /// the future, when no sensor went into them, and when the wanted velocity is not finite.

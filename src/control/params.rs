@@ -1,8 +1,9 @@
 //! `[control]` of the configuration: thresholds, gains and regions of the layers.
 //!
-//! Energies are sums of the gained envelope (linear amplitude in units of full scale, 1 m as reference), so a
-//! threshold here is an amplitude times a number of cells. Where the numbers come from is told in
-//! [`super::default_regions`]. This file decides nothing; it only refuses values that make no sense.
+//! Energies are the gained envelope (linear amplitude in units of full scale, 1 m as reference; a wall at 1 m reads 0.1) or
+//! sums of it, so a threshold here is an amplitude, for CA and E_ref times a number of cells. Where the numbers come from, and
+//! why they hold for any sensor layout, is told in [`super::default_regions`]. This file decides nothing; it only refuses
+//! values that make no sense.
 
 use super::default_regions;
 use super::platform::PlatformLimits;
@@ -48,7 +49,8 @@ pub struct CollisionAvoidanceParams {
     pub enabled: bool,
     /// Union of shapes in the robot frame.
     pub regions: Vec<Shape>,
-    /// Fires when the sum of E|M| is above this (T_CA).
+    /// Fires when the sum of E|M| over all sensors is above this (T_CA). A pillar of 2 cm sums to twice the default in one sensor.
+    /// Side lobes in the way ahead that sum to more make it count as unseen, echoes behind that do make it not free.
     pub threshold: f64,
     /// Lets go when the sum is not above this.
     pub release: f64,
@@ -76,7 +78,7 @@ pub struct ObstacleAvoidanceParams {
     pub enabled: bool,
     /// Union of shapes in the robot frame.
     pub regions: Vec<Shape>,
-    /// Fires when any cell's E|M| is above this (T_OA).
+    /// Fires when any cell's E|M| is above this (T_OA). A pillar of 2 cm reads 0.008.
     pub threshold: f64,
     /// Lets go when no cell is above this.
     pub release: f64,
@@ -86,9 +88,10 @@ pub struct ObstacleAvoidanceParams {
     pub release_count: u32,
     /// Gain of the turn rate, lambda_OA: rad/s for an obstacle at 1 m on one side.
     pub lambda: f64,
-    /// Gain of the slow-down, mu_OA.
+    /// Gain of the slow-down, mu_OA: 1 for the simulated robot, 0.1 for a Husky (paper 000), as lambda.
     pub mu: f64,
-    /// Sum of E|M| that stops the robot at `mu = 1` (E_ref).
+    /// Sum of E|M| that stops the robot at `mu = 1` (E_ref), for each sensor that hears anything: a layout of three sensors slows
+    /// down as one of a single sensor does.
     pub energy_reference: f64,
 }
 
@@ -100,7 +103,7 @@ pub struct CorridorFollowingParams {
     pub enabled: bool,
     /// Union of shapes in the robot frame.
     pub regions: Vec<Shape>,
-    /// Fires when any cell's E|M| is above this (T_RCF).
+    /// Fires when any cell's E|M| is above this (T_RCF): for walls (0.09) and thick pillars, not for poles beside the way.
     pub threshold: f64,
     /// Lets go when no cell is above this.
     pub release: f64,
@@ -120,9 +123,9 @@ pub struct FlowFollowingParams {
     pub enabled: bool,
     /// The flow lines.
     pub regions: Vec<FlowLinesRegion>,
-    /// A single wall is followed when its Gamma is above this.
+    /// A single wall is followed when its Gamma is above this; a wall 0.8 m abeam has 0.0058.
     pub threshold_single: f64,
-    /// A corridor is followed when Gamma of a wall on either side is above this.
+    /// A corridor is followed when Gamma of a wall on either side is above this; lower, since two walls speak for each other.
     pub threshold_corridor: f64,
     /// Share of a threshold that a wall may fall to before it is lost, 0 to 1.
     pub release_ratio: f64,
@@ -151,10 +154,12 @@ pub struct EnergyParams {
     pub spreading_exponent: f64,
     /// Absorption in dB per metre of path (the path is twice the range).
     pub absorption_db_m: f64,
-    /// Noise floor of the envelope as `[range_m, dBFS]` points, ascending in range, linear in between, level outside.
+    /// Noise floor of the envelope, before any gain, as `[range_m, dBFS]` points, ascending in range, linear in between, level
+    /// outside. Higher near the sensor, where the direct path rings on.
     pub noise_floor_dbfs: Vec<[f64; 2]>,
-    /// An echo this far below the loudest at its range in any direction may be that one's side lobe: OA and RCF leave it out.
-    /// The larger, the more is trusted.
+    /// An echo this far below the loudest at its range, in any direction of the same sensor, may be that one's side lobe (some
+    /// 10 dB down): it is left out of every region and flow line. Where one in the way ahead may hide something the way counts as
+    /// unseen from there on. The larger, the more counts as an echo.
     pub side_lobe_db: f64,
 }
 
@@ -162,7 +167,8 @@ pub struct EnergyParams {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CoverageParams {
-    /// Longest unseen stretch right at the footprint that counts as seen before.
+    /// Longest unseen stretch right at the footprint that counts as seen before: unseen is not free, but what is now too near to
+    /// be heard was in view when the robot was farther back. The deaf 0.3 m in front of a sensor at the rim fit in.
     pub blind_gap_m: f64,
     /// Time from an obstacle's coming into view to the beginning of braking.
     pub reaction_s: f64,
