@@ -28,10 +28,10 @@ fn trials() -> u32 {
 
 /// A controller that follows a daemon of 10 Hz.
 struct Driving {
-    place: Place,
-    base: Base,
-    daemon: FakeDaemon,
     controller: Controller,
+    daemon: FakeDaemon,
+    base: Base,
+    place: Place,
 }
 
 impl Driving {
@@ -42,7 +42,7 @@ impl Driving {
         let daemon = FakeDaemon::new(&place.root(), &place.params.prefix, EPOCH);
         base.listen_until(SOON, || (), |sample| is(sample, GateState::Wait));
         base.ask(Request::Arm, EPOCH);
-        let mut driving = Self { place, base, daemon, controller };
+        let mut driving = Self { controller, daemon, base, place };
         driving.drive_until(|sample| is(sample, GateState::Track) && moves(sample));
         driving
     }

@@ -86,6 +86,24 @@ fn a_dead_emitter_is_a_fault_and_never_a_free_way() {
 }
 
 #[test]
+fn one_dead_emitter_of_three_is_a_fault_too_although_its_neighbours_are_heard() {
+    let world = World::default_world().expect("world");
+    let mut drive = Drive::new(&Config::default(), world, SimParams::default(), 1);
+    drive.arm();
+    for _ in 0..20 {
+        drive.step(|_| {});
+    }
+    assert!(drive.simulator.velocity().linear_m_s > 0.25, "it drives at first");
+    drive.simulator.set_emitting(0, false);
+    for _ in 0..20 {
+        let outcome = drive.step(|_| {});
+        assert_eq!((outcome.output.state, outcome.output.reason), (DaemonState::Fault, Reason::NoDirectPath));
+        assert_eq!(outcome.velocity, Velocity::ZERO);
+    }
+    assert_eq!(drive.simulator.velocity().linear_m_s, 0.0);
+}
+
+#[test]
 fn frozen_pings_are_a_fault_at_the_second_copy() {
     let mut drive = Drive::new(&Config::default(), World::default_world().expect("world"), SimParams::default(), 1);
     drive.arm();

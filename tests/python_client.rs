@@ -4,13 +4,13 @@
 mod ipc_rig;
 
 use ipc_rig::Place;
-use noctule::io::DaemonTopics;
 use noctule::io::topics::topics_json;
 use noctule::io::wire::message::{
     EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput,
 };
 use noctule::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use noctule::io::wire::{Field, WireType};
+use noctule::io::{DaemonTopics, Echo};
 use noctule::signal::{Direction, PolarGrid, SampleFormat};
 use noctule::time::{Clock, SystemClock};
 use serde_json::Value;
@@ -64,11 +64,11 @@ struct Published {
 
 /// A daemon's topics, and what was published on those of the second sensor.
 struct Publisher {
-    place: Place,
     topics: DaemonTopics,
     grid: PolarGrid,
     published: BTreeMap<u64, Published>,
     sequence: u64,
+    place: Place,
 }
 
 impl Publisher {
@@ -78,7 +78,7 @@ impl Publisher {
         let place = Place::new();
         let names = SENSORS.map(str::to_owned);
         let topics = DaemonTopics::open(&place.ipc, &names, &[grid.cell_count(); 3]).expect("opened");
-        Self { place, topics, grid, published: BTreeMap::new(), sequence: 1 << 40 }
+        Self { topics, grid, published: BTreeMap::new(), sequence: 1 << 40, place }
     }
 
     /// Publishes on the sensor `sensor_index` a faint pattern with one strong cell.
@@ -242,7 +242,25 @@ fn a_client_that_comes_late_gets_the_newest_ping_at_once_and_leaves_nothing_behi
     let output = run(client.args(["--timeout", "20"]), || publisher.topics.connect_latecomers().expect("connected"));
     assert_eq!(compare(stdout(&output), &publisher.published), Ok(1));
     assert!(stdout(&output).contains(&format!("sequence={} ", publisher.sequence)), "{output:?}");
-    assert_eq!(publisher.place.left_behind().len(), before.len());
+    // The publisher holds its end of a connection until it next looks who is there, and the client went after the last look.
+    publisher.topics.connect_latecomers().expect("connected");
+    assert_eq!(added(&before, &publisher.place), Vec::<String>::new());
+
+    // Negative control: a reader that stays is seen, and so is the connection of one that the publisher does not know gone.
+    let (ipc, sensors) = (&publisher.place.ipc, SENSORS.map(str::to_owned));
+    let reader = Echo::open(ipc, "noctule/sonar/left/energyscape", true, &sensors, SampleFormat::PcmI16);
+    publisher.topics.connect_latecomers().expect("connected");
+    assert!(added(&before, &publisher.place).len() > 1);
+    drop(reader.expect("opened"));
+    let held = added(&before, &publisher.place);
+    assert!(held.len() == 1 && held[0].ends_with(".connection"), "{held:?}");
+    publisher.topics.connect_latecomers().expect("connected");
+    assert_eq!(added(&before, &publisher.place), Vec::<String>::new());
+}
+
+/// Files that are there now and were not before.
+fn added(before: &[String], place: &Place) -> Vec<String> {
+    place.left_behind().into_iter().filter(|name| !before.contains(name)).collect()
 }
 
 #[test]

@@ -222,7 +222,7 @@ fn what_does_not_exist_is_refused_with_what_does() {
 #[test]
 fn a_bad_world_or_configuration_is_named_with_its_key_before_anything_is_driven() {
     let room = Room::with_world(&format!("{CORRIDOR}[[pillar]]\ncentre = [3.0, 0.0]\nradius_m = -0.1\n"));
-    let said = stderr_of(&mut room.simulate(&["--json", "runs.json"]), 78);
+    let said = stderr_of(&mut room.simulate(&["--json", "runs.json"]), 65);
     assert!(said.contains("world.toml") && said.contains("radius_m") && said.contains("-0.1"), "{said}");
     assert!(!room.path("runs.json").exists());
     std::fs::write(room.path("world.toml"), CORRIDOR).unwrap();

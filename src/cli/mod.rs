@@ -26,7 +26,7 @@ pub mod exit {
     pub const FINDING: u8 = 1;
     /// Usage.
     pub const USAGE: u8 = 2;
-    /// Bad data: a recording that cannot be used.
+    /// Bad data: a recording or world that cannot be used.
     pub const DATA: u8 = 65;
     /// Peer, GPU or service unavailable.
     pub const UNAVAILABLE: u8 = 69;

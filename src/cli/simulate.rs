@@ -25,8 +25,8 @@ use std::time::Instant;
 /// Runs the command.
 ///
 /// # Errors
-/// 2 for a layout or sensor that there is not, 69 without the backend asked for, 78 for a world or configuration that
-/// cannot be used, 73, 74 and 77 for what cannot be written; else the code of the first run that failed, after everything
+/// 2 for a layout or sensor that there is not, 65 for a world and 78 for a configuration that cannot be used, 69 without
+/// the backend asked for, 73, 74 and 77 for what cannot be written; else the code of the first run that failed, after everything
 /// that the other runs gave was written.
 pub fn simulate(arguments: &SimulateArguments) -> Result<(), Failure> {
     let proving = Proving::prepare(arguments)?;

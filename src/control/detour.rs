@@ -196,7 +196,7 @@ mod tests {
         let mut detour = after_a_box_ahead();
         detour.observe(&at(0.0, 0.0, 0.0), [Some(Vector2::new(f64::NAN, 0.0)), None], 0.1);
         for index in 0..12 {
-            detour.observe(&at(0.0, 0.0, 0.0), [None, Some(Vector2::new(-1.0, -1.0 * f64::from(index)))], 0.1);
+            detour.observe(&at(0.0, 0.0, 0.0), [None, Some(Vector2::new(-1.0, -f64::from(index)))], 0.1);
         }
         assert_eq!(detour.guard(&at(0.0, 0.0, 1.05), TURN_RIGHT), TURN_RIGHT, "the box was the oldest");
     }

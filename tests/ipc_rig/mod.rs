@@ -21,10 +21,13 @@ use tempfile::TempDir;
 pub const MS: u64 = 1_000_000;
 
 /// Where a test's topics are; nothing of it is left when it is dropped.
+///
+/// Fields are dropped in the order of their declaration: a node that ends makes its directories again, so the directory
+/// goes last, here as in whatever holds a place.
 pub struct Place {
-    pub directory: TempDir,
-    pub params: IpcParams,
     pub ipc: Ipc,
+    pub params: IpcParams,
+    pub directory: TempDir,
 }
 
 impl Place {
@@ -34,7 +37,7 @@ impl Place {
         let prefix = format!("nt{}_{}_", std::process::id(), NUMBER.fetch_add(1, Ordering::Relaxed));
         let params = IpcParams { root: Some(directory.path().join("root")), prefix };
         let ipc = Ipc::open(&params).expect("opened");
-        Self { directory, params, ipc }
+        Self { ipc, params, directory }
     }
 
     pub fn root(&self) -> PathBuf {

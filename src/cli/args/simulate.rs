@@ -28,8 +28,8 @@ longest stop while motion was wanted; alone_s, the same with no mover within
 1 m; turns/m, changes of the turn's sign while following walls; layers, the
 share of the ping sets that each decided.
 
-Exit codes: 0 whatever the robots did; 2 usage; 65 a run that could not
-begin; 69 no such backend; 78 a world or configuration of no use.
+Exit codes: 0 whatever the robots did; 2 usage; 65 a world of no use or a
+run that could not begin; 69 no such backend; 78 a configuration of no use.
 
 Examples:
   noctule simulate office --runs 15

@@ -1,7 +1,7 @@
 //! What was typed, to what it means: world, robots, conditions. What does not exist is refused with what does.
 
 use crate::cli::args::{ConditionArguments, ConfigChoice, SimulateArguments};
-use crate::cli::run::prefer_pcm;
+use crate::cli::run::{load_world, prefer_pcm};
 use crate::cli::{Failure, exit};
 use crate::config::{Config, LAYOUT_NAMES};
 use crate::service::proving::Entrant;
@@ -16,8 +16,7 @@ const DEFAULT: &str = "default";
 
 /// The world of that file, or the built-in one.
 pub fn world(path: &Path) -> Result<World, Failure> {
-    let world = if path.as_os_str() == OFFICE { World::default_world() } else { World::load(path) };
-    world.map_err(|error| Failure::new(exit::CONFIG, error))
+    load_world((path.as_os_str() != OFFICE).then_some(path))
 }
 
 /// The robots that were asked for, at least one, each once and in the order asked for.
