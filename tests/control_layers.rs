@@ -1,88 +1,11 @@
 //! Contract: given cues, the controller gives the velocity of the highest triggered layer, within every limit, for any cues
 //! and any input, NaN and infinities included. Cues are made by hand here; images come in control_energies.rs.
 
-use noctule::control::{ControlParams, Controller, PlatformLimits};
-use noctule::geometry::Pose2;
-use noctule::signal::{
-    CoverageCue, Cues, Decision, LayerCue, LayerName, NearestReflection, SENSORS_MAX, SensorSums, Velocity, WallPeak,
-    WallPeaks,
-};
+mod control_bench;
+
+use control_bench::{Bench, FORWARD, PERIOD_NS, cue, near, walls};
+use noctule::signal::{CoverageCue, LayerCue, LayerName, SENSORS_MAX, Velocity, WallPeaks};
 use noctule::time::Stamp;
-use std::f64::consts::PI;
-
-const PERIOD_NS: u64 = 100_000_000;
-const FORWARD: Velocity = Velocity { linear_m_s: 0.3, angular_rad_s: 0.0 };
-
-/// A controller, its clock, and the cues it gets next.
-struct Bench {
-    controller: Controller,
-    now: Stamp,
-    cues: Cues,
-}
-
-impl Bench {
-    fn new(change: impl FnOnce(&mut ControlParams)) -> Self {
-        let mut params = ControlParams::default();
-        // Most claims are about laws; counts have tests of their own.
-        params.obstacle_avoidance.trigger_count = 1;
-        params.corridor_following.trigger_count = 1;
-        params.flow_following.trigger_count = 1;
-        change(&mut params);
-        params.validate().unwrap();
-        let now = Stamp { boottime_ns: 1_000_000_000_000, wall_ns: 0 };
-        let coverage = CoverageCue { ahead_m: 3.0, behind_m: 3.0 };
-        let cues = Cues { sensors_used: [true; SENSORS_MAX], coverage, ..Cues::default() };
-        Self { controller: Controller::new(&params, &PlatformLimits::default()), now, cues }
-    }
-
-    fn step(&mut self, wanted: Velocity) -> Decision {
-        self.step_with(wanted, None)
-    }
-
-    fn step_with(&mut self, wanted: Velocity, odometry: Option<Pose2>) -> Decision {
-        self.now = self.now.plus_ns(PERIOD_NS);
-        self.cues.emitted_at = self.now;
-        self.cues.sequence += 1;
-        self.controller.step_with_odometry(self.now, &self.cues, wanted, odometry)
-    }
-
-    /// Steps until rate limits have no more to say; the last decision.
-    fn settle(&mut self, wanted: Velocity) -> Decision {
-        (0..15).map(|_| self.step(wanted)).last().unwrap()
-    }
-}
-
-fn cue(energy: f32, turn: f32, peak: f32, side: i8) -> LayerCue {
-    let nearest = NearestReflection {
-        sensor_index: 1,
-        range_m: 0.5,
-        bearing_rad: 0.3,
-        distance_m: 0.2,
-        place_m: [0.4, 0.1 * f64::from(side)],
-        energy: peak,
-        side,
-        lead_m: f64::INFINITY,
-    };
-    LayerCue {
-        energy,
-        turn,
-        peak,
-        sensors: [SensorSums::default(); SENSORS_MAX],
-        nearest: (energy > 0.0).then_some(nearest),
-    }
-}
-
-fn walls(found: &[(f64, f64)]) -> WallPeaks {
-    let mut walls = WallPeaks { count: found.len(), ..WallPeaks::default() };
-    for (slot, (lateral_m, strength)) in walls.peaks.iter_mut().zip(found) {
-        *slot = WallPeak { lateral_m: *lateral_m, strength: *strength };
-    }
-    walls
-}
-
-fn near(found: f64, expected: f64) {
-    assert!((found - expected).abs() < 1e-9, "{found} is not {expected}");
-}
 
 /// GIVEN silence, WHEN motion is wanted, THEN it passes through.
 #[test]
@@ -172,32 +95,6 @@ fn the_side_is_held_until_the_region_is_clear() {
     assert_eq!(bench.settle(FORWARD).layer, LayerName::PassThrough);
     bench.cues.collision = cue(1.0, 0.0, 0.1, -1);
     near(bench.settle(FORWARD).velocity.angular_rad_s, 0.5);
-}
-
-/// GIVEN somebody who comes nearer in the CA zone, WHEN he is too near to be heard, THEN the robot stands and turns until he is
-/// abeam; one who fell silent without having come nearer is forgotten at once (the negative control).
-#[test]
-fn what_comes_too_near_to_be_heard_is_still_there() {
-    let unheard_steps = |last_m: f64, range_m: f64| {
-        let mut bench = Bench::new(|params| params.stuck.enabled = false);
-        // The robot stands: what it hears coming nearer walks.
-        bench.cues.collision = cue(1.0, 0.0, 0.1, 1);
-        for _ in 0..10 {
-            bench.step(FORWARD);
-        }
-        for distance_m in [0.40, 0.5 * (0.40 + last_m), last_m] {
-            bench.cues.collision = cue(1.0, 0.0, 0.1, 1);
-            bench.cues.collision.nearest =
-                bench.cues.collision.nearest.map(|n| NearestReflection { distance_m, range_m, ..n });
-            bench.step(FORWARD);
-        }
-        bench.cues.collision = LayerCue::default();
-        (0..100).take_while(|_| bench.step(FORWARD).velocity.linear_m_s <= 0.0).count()
-    };
-    // 60 deg at 0.5 rad/s take 21 steps.
-    assert!((21..=26).contains(&unheard_steps(0.27, 0.35)), "{}", unheard_steps(0.27, 0.35));
-    assert!(unheard_steps(0.38, 0.35) <= 3, "{}", unheard_steps(0.38, 0.35));
-    assert!(unheard_steps(0.27, 0.6) <= 3, "heard far from where the sensors are deaf");
 }
 
 /// GIVEN counts of 2 and 3, WHEN energies come and go, THEN OA fires on the second and lets go on the third in a row.
@@ -437,61 +334,6 @@ fn an_energy_that_is_no_number_is_an_obstacle() {
         assert_eq!(bench.settle(FORWARD).velocity.linear_m_s, 0.0);
     }
     assert_ne!(f32::NAN.partial_cmp(&0.3), Some(std::cmp::Ordering::Greater), "`>` calls NaN free space");
-}
-
-/// GIVEN a robot that gets nowhere, WHEN the configured time is over, THEN it says so, turns on the spot, and goes on.
-#[test]
-fn a_stuck_robot_says_so_and_turns_away() {
-    let mut bench = Bench::new(|params| params.stuck.time_s = 8.0);
-    let here = Pose2::default();
-    let blocked_steps = (0..200).take_while(|_| !bench.step_with(FORWARD, Some(here)).stuck).count();
-    assert!((78..=82).contains(&blocked_steps), "{blocked_steps} steps of 0.1 s for 8 s");
-    let mut pose = here;
-    let mut turning_steps = 0;
-    loop {
-        let decision = bench.step_with(FORWARD, Some(pose));
-        if !decision.stuck {
-            break;
-        }
-        assert_eq!(decision.velocity.linear_m_s, 0.0, "the way out is a turn on the spot");
-        pose.heading_rad += decision.velocity.angular_rad_s * 0.1;
-        turning_steps += 1;
-        assert!(turning_steps < 100);
-    }
-    assert!((pose.heading_rad.abs() - PI / 2.0).abs() < 0.1, "a quarter turn, not {}", pose.heading_rad);
-    assert_eq!(bench.step_with(FORWARD, Some(pose)).layer, LayerName::PassThrough);
-}
-
-/// GIVEN OA that turns back what a turn wants, WHEN the robot is stuck, THEN the wanted velocity passes for a while, but under CA.
-#[test]
-fn a_robot_stuck_between_two_turns_first_does_what_is_wanted() {
-    let here = Some(Pose2::default());
-    let wanted = Velocity { linear_m_s: 0.05, angular_rad_s: 0.5 };
-    let mut bench = Bench::new(|_| {});
-    bench.cues.obstacle = cue(1.0, 0.5, 0.1, 1);
-    let first = (0..100).map(|_| bench.step_with(wanted, here)).find(|decision| decision.stuck).unwrap();
-    assert_eq!((first.layer, first.velocity.linear_m_s), (LayerName::PassThrough, 0.05));
-    bench.cues.collision = cue(1.0, 0.5, 0.1, 1);
-    assert_eq!(bench.step_with(wanted, here).layer, LayerName::CollisionAvoidance);
-    bench.cues.collision = LayerCue::default();
-    let turn = (0..100).map(|_| bench.step_with(wanted, here)).find(|decision| decision.velocity.linear_m_s == 0.0);
-    assert_eq!(turn.map(|decision| decision.layer), Some(LayerName::CollisionAvoidance), "then it turns on the spot");
-}
-
-/// GIVEN a robot that moves, or that is not asked to, WHEN time passes, THEN it is not stuck.
-#[test]
-fn progress_and_rest_are_not_stuck() {
-    let mut bench = Bench::new(|_| {});
-    assert!((0..300).all(|_| !bench.step(FORWARD).stuck), "the commands themselves are progress");
-    let turn = Velocity { linear_m_s: 0.0, angular_rad_s: 0.5 };
-    let mut bench = Bench::new(|_| {});
-    assert!((0..300).all(|_| !bench.step(turn).stuck), "turning is progress when only that is asked for");
-    let (mut bench, still) = (Bench::new(|_| {}), Some(Pose2::default()));
-    assert!((0..300).all(|_| !bench.step_with(Velocity::ZERO, still).stuck), "nothing was asked for");
-    assert!((0..300).any(|_| bench.step_with(turn, still).stuck), "the turn that was asked for does not come");
-    let mut bench = Bench::new(|_| {});
-    bench.cues.coverage.ahead_m = 0.0;
-    assert!((0..300).any(|_| bench.step(FORWARD).stuck), "without odometry standing still is noticed too");
 }
 
 /// GIVEN a controller with a past, WHEN it is reset, THEN it answers like a new one.
