@@ -99,6 +99,7 @@ fn one_dead_emitter_of_three_is_a_fault_too_although_its_neighbours_are_heard() 
         let outcome = drive.step(|_| {});
         assert_eq!((outcome.output.state, outcome.output.reason), (DaemonState::Fault, Reason::NoDirectPath));
         assert_eq!(outcome.velocity, Velocity::ZERO);
+        assert_eq!((outcome.cues.sensors_used[0], outcome.cues.coverage.ahead_m), (false, 0.0), "its way is unseen");
     }
     assert_eq!(drive.simulator.velocity().linear_m_s, 0.0);
 }

@@ -66,6 +66,11 @@ pub fn collision_zone_min_m(platform: &PlatformLimits) -> f64 {
     platform.radius_m + silent_stop_m(platform) + RANGE_ERROR_M
 }
 
+/// Without the dust of binary sums, so that a printed configuration reads 0.3 and not 0.30000000000000004.
+fn clean(length_m: f64) -> f64 {
+    (length_m * 1e9).round() / 1e9
+}
+
 /// Regions of collision avoidance.
 #[must_use]
 pub fn collision_avoidance(platform: &PlatformLimits) -> Vec<Shape> {
@@ -74,30 +79,30 @@ pub fn collision_avoidance(platform: &PlatformLimits) -> Vec<Shape> {
     let ahead_m = (sensor_m + DEAF_RANGE_M + 0.4 * platform.max_linear_m_s).max(side_m);
     let disc_m = side_m - 0.04;
     vec![
-        Shape::HalfCircle { centre_m: [0.0, 0.0], radius_m: side_m, heading_deg: 0.0 },
-        Shape::Circle { centre_m: [ahead_m - disc_m, 0.0], radius_m: disc_m },
+        Shape::HalfCircle { centre_m: [0.0, 0.0], radius_m: clean(side_m), heading_deg: 0.0 },
+        Shape::Circle { centre_m: [clean(ahead_m - disc_m), 0.0], radius_m: clean(disc_m) },
     ]
 }
 
 /// Regions of obstacle avoidance.
 #[must_use]
 pub fn obstacle_avoidance(platform: &PlatformLimits) -> Vec<Shape> {
-    let half_m = platform.radius_m + 0.10;
-    vec![Shape::Rectangle { x_m: [0.0, (platform.radius_m + 1.3).max(1.5)], y_m: [-half_m, half_m] }]
+    let half_m = clean(platform.radius_m + 0.10);
+    vec![Shape::Rectangle { x_m: [0.0, clean((platform.radius_m + 1.3).max(1.5))], y_m: [-half_m, half_m] }]
 }
 
 /// Regions of corridor following.
 #[must_use]
 pub fn corridor_following(platform: &PlatformLimits) -> Vec<Shape> {
-    let (inner_m, outer_m) = (platform.radius_m + 0.10, platform.radius_m + 1.5);
-    let x_m = [0.0, (platform.radius_m + 1.3).max(1.5)];
+    let (inner_m, outer_m) = (clean(platform.radius_m + 0.10), clean(platform.radius_m + 1.5));
+    let x_m = [0.0, clean((platform.radius_m + 1.3).max(1.5))];
     vec![Shape::Rectangle { x_m, y_m: [inner_m, outer_m] }, Shape::Rectangle { x_m, y_m: [-outer_m, -inner_m] }]
 }
 
 /// Regions of flow following.
 #[must_use]
 pub fn flow_following(platform: &PlatformLimits) -> Vec<FlowLinesRegion> {
-    let reach_m = ((platform.radius_m + 1.8).max(2.0) / 0.05).round() * 0.05;
-    let abeam_m = platform.radius_m + 0.15;
+    let reach_m = clean(((platform.radius_m + 1.8).max(2.0) / 0.05).round() * 0.05);
+    let abeam_m = clean(platform.radius_m + 0.15);
     vec![FlowLinesRegion { lateral_m: [-reach_m, reach_m], step_m: 0.05, x_m: [-abeam_m, abeam_m] }]
 }

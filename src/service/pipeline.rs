@@ -128,7 +128,8 @@ impl Pipeline {
         let mut used = [false; SENSORS_MAX];
         for (index, report) in image.channels.iter().enumerate().filter(|(index, _)| pings.present[*index]) {
             judge_channels(&mut findings[index], report, image.imaged[index]);
-            used[index] = findings[index].is_usable();
+            // A sensor that does not hear its own emission is no witness of free space.
+            used[index] = findings[index].is_usable() && findings[index].direct_path;
         }
         let cues = self.masks.fuse(&image.sums, used, pings.emitted_at, pings.sequence);
         let decision = self.controller.step_with_odometry(now, &cues, wanted, pose);
