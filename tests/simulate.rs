@@ -179,10 +179,11 @@ fn a_trajectory_has_units_in_its_header_and_a_row_a_ping_set() {
 }
 
 #[test]
-fn drives_are_drawn_as_heat_map_and_as_ways() {
+fn drives_are_drawn_as_heat_map_as_ways_and_as_what_was_heard() {
     let room = Room::with_world(CORRIDOR);
-    room.simulate(&["--layout", "1,4", "--plot", "heat.png", "--paths", "ways.png"]).assert().success();
-    for name in ["heat.png", "ways.png"] {
+    let pictures = ["--plot", "heat.png", "--paths", "ways.png", "--frames", "film.png"];
+    room.simulate(&[&["--layout", "1,4"][..], &pictures].concat()).assert().success();
+    for name in ["heat.png", "ways.png", "film.png"] {
         assert!(std::fs::read(room.path(name)).expect("picture").starts_with(b"\x89PNG"), "{name}");
     }
 }

@@ -4,6 +4,7 @@
 //! [`crate::service::proving`]; nothing here decides how a robot moves.
 
 mod choice;
+mod film;
 mod report;
 mod sweep;
 mod trajectory;
@@ -66,7 +67,7 @@ impl<'a> Proving<'a> {
         // Long work should not end at a place that cannot be written to.
         let json = JsonPlace::take(arguments.json.as_deref())?;
         arguments.trajectories.as_deref().map_or(Ok(()), make_folder)?;
-        for path in [&arguments.plot, &arguments.paths].into_iter().flatten() {
+        for path in [&arguments.plot, &arguments.paths, &arguments.frames].into_iter().flatten() {
             drop(NewFile::create(path)?);
         }
         let jobs = arguments.jobs.map_or(jobs, usize::from);
@@ -162,6 +163,9 @@ fn draw(proving: &Proving, runs: &[Run]) -> Result<(), Failure> {
         let several = proving.entrants.len() > 1;
         let picture = if several { paths_by_layout } else { paths }(&proving.world, &plotted, &options);
         write_picture(path, &picture)?;
+    }
+    if let Some(path) = &proving.arguments.frames {
+        write_picture(path, &film::film(proving)?)?;
     }
     Ok(())
 }

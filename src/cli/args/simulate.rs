@@ -73,6 +73,9 @@ pub struct SimulateArguments {
     /// Draw the way of each run, coloured by the layer that decided; a panel for each layout.
     #[arg(long, value_name = "F.png", conflicts_with = "sweep")]
     pub paths: Option<PathBuf>,
+    /// Draw what the first robot's sensors heard on its first drive: their polar images every ten seconds, a row each.
+    #[arg(long, value_name = "F.png", conflicts_with = "sweep")]
+    pub frames: Option<PathBuf>,
     /// Rank sensor layouts, drawing this many candidates beside those given.
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = SWEEP_DEFAULT, value_parser = clap::value_parser!(u64).range(0..=COUNT_MAX))]
     pub sweep: Option<u64>,
