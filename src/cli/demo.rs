@@ -160,14 +160,7 @@ struct Tally {
     last_sequence: u64,
 }
 
-const LAYERS: [LayerName; 6] = [
-    LayerName::PassThrough,
-    LayerName::CollisionAvoidance,
-    LayerName::ObstacleAvoidance,
-    LayerName::FlowFollowing,
-    LayerName::CorridorFollowing,
-    LayerName::Stopped,
-];
+const LAYERS: [LayerName; 6] = LayerName::ALL;
 
 impl Tally {
     fn new(config: &Config, recording_ns: u64) -> Self {

@@ -121,16 +121,8 @@ impl Trial {
     /// Share of the ping sets that each layer decided, in the order of [`LayerName`]'s numbers; sums to 1 unless there were none.
     #[must_use]
     pub fn layer_share(&self) -> [(LayerName, f64); 6] {
-        let names = [
-            LayerName::PassThrough,
-            LayerName::CollisionAvoidance,
-            LayerName::ObstacleAvoidance,
-            LayerName::FlowFollowing,
-            LayerName::CorridorFollowing,
-            LayerName::Stopped,
-        ];
         let count = self.track.len().max(1) as f64;
-        names.map(|name| (name, self.track.iter().filter(|point| point.layer == name).count() as f64 / count))
+        LayerName::ALL.map(|name| (name, self.track.iter().filter(|point| point.layer == name).count() as f64 / count))
     }
 }
 

@@ -55,6 +55,16 @@ impl LayerName {
         LayerName::CorridorFollowing,
     ];
 
+    /// Everything that a decision can come from, in the order of the numbers.
+    pub const ALL: [LayerName; 6] = [
+        LayerName::PassThrough,
+        LayerName::CollisionAvoidance,
+        LayerName::ObstacleAvoidance,
+        LayerName::FlowFollowing,
+        LayerName::CorridorFollowing,
+        LayerName::Stopped,
+    ];
+
     /// The name as configuration, JSON and file names write it.
     #[must_use]
     pub fn as_str(self) -> &'static str {
