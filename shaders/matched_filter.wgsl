@@ -87,22 +87,6 @@ fn band_filter(@builtin(global_invocation_id) id: vec3<u32>) {
     store_output(row, first + 7u, re_high.w, im_high.w);
 }
 
-fn fetch(row: u32, q: u32, r: u32) {
-    if (r < radix()) {
-        values[r] = turned(source[row * LEN + q + r * butterfly_count()], q, r);
-    }
-}
-
-fn fetch_all(row: u32, q: u32) {
-    fetch(row, q, 0u); fetch(row, q, 1u); fetch(row, q, 2u); fetch(row, q, 3u);
-    fetch(row, q, 4u); fetch(row, q, 5u); fetch(row, q, 6u); fetch(row, q, 7u);
-    fetch(row, q, 8u); fetch(row, q, 9u); fetch(row, q, 10u); fetch(row, q, 11u);
-    fetch(row, q, 12u); fetch(row, q, 13u); fetch(row, q, 14u); fetch(row, q, 15u);
-    fetch(row, q, 16u); fetch(row, q, 17u); fetch(row, q, 18u); fetch(row, q, 19u);
-    fetch(row, q, 20u); fetch(row, q, 21u); fetch(row, q, 22u); fetch(row, q, 23u);
-    fetch(row, q, 24u); fetch(row, q, 25u); fetch(row, q, 26u); fetch(row, q, 27u);
-}
-
 @compute @workgroup_size(16, 8)
 fn forward_pass(@builtin(global_invocation_id) id: vec3<u32>) {
     let q = id.x;
@@ -113,19 +97,7 @@ fn forward_pass(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     fetch_all(row, q);
     transform_values();
-    keep(row, q, 0u); keep(row, q, 1u); keep(row, q, 2u); keep(row, q, 3u);
-    keep(row, q, 4u); keep(row, q, 5u); keep(row, q, 6u); keep(row, q, 7u);
-    keep(row, q, 8u); keep(row, q, 9u); keep(row, q, 10u); keep(row, q, 11u);
-    keep(row, q, 12u); keep(row, q, 13u); keep(row, q, 14u); keep(row, q, 15u);
-    keep(row, q, 16u); keep(row, q, 17u); keep(row, q, 18u); keep(row, q, 19u);
-    keep(row, q, 20u); keep(row, q, 21u); keep(row, q, 22u); keep(row, q, 23u);
-    keep(row, q, 24u); keep(row, q, 25u); keep(row, q, 26u); keep(row, q, 27u);
-}
-
-fn keep(row: u32, q: u32, k: u32) {
-    if (k < radix()) {
-        output[row * LEN + output_place(q, k)] = transformed(k);
-    }
+    keep_all(row, q);
 }
 
 @compute @workgroup_size(16, 8)

@@ -22,7 +22,7 @@ use crate::imaging::params::ImagingParams;
 use crate::imaging::steering;
 use crate::io::IpcParams;
 use crate::parameter::ParameterError;
-use crate::safety::SafetyParams;
+use crate::safety::{GateParams, MotionLimits, SafetyParams};
 use crate::sensor::{
     self, DeadZone, Emission, EmissionParams, RecordingFormat, RecordingParams, SensorParams, SensorSetup,
 };
@@ -129,6 +129,18 @@ impl Config {
         }
         config.validate().map_err(|error| document::refuse(path, text, &error))?;
         Ok(config)
+    }
+
+    /// What the controller's gate judges by: the platform's limits and the timeouts.
+    #[must_use]
+    pub fn gate_params(&self) -> GateParams {
+        let limits = MotionLimits {
+            linear_m_s: self.platform.max_linear_m_s,
+            angular_rad_s: self.platform.max_angular_rad_s,
+            linear_m_s2: self.platform.max_linear_accel_m_s2,
+            angular_rad_s2: self.platform.max_angular_accel_rad_s2,
+        };
+        GateParams::new(&self.safety, limits)
     }
 
     /// One of the sensor layouts of paper 000, by its name in [`LAYOUT_NAMES`]: `sim-1` to `sim-10` (table 1: radius 0.10 m,

@@ -12,8 +12,7 @@ use crate::io::wire::telemetry::PlatformVelocity;
 use crate::io::wire::{Checked, WireType};
 use crate::io::{ControllerTopics, Ipc, IpcError, IpcParams};
 use crate::safety::{
-    CommandSample, DaemonState, Gate, GateEvent, GateOutput, GateParams, GateState, MotionLimits, OperatorEvent,
-    Reason, Verdict,
+    CommandSample, DaemonState, Gate, GateEvent, GateOutput, GateParams, GateState, OperatorEvent, Reason, Verdict,
 };
 use crate::signal::Velocity;
 use crate::time::{Clock, Stamp, SystemClock};
@@ -46,13 +45,7 @@ impl ControllerParams {
     /// The parts of a validated configuration that the controller reads.
     #[must_use]
     pub fn from_config(config: &Config) -> Self {
-        let limits = MotionLimits {
-            linear_m_s: config.platform.max_linear_m_s,
-            angular_rad_s: config.platform.max_angular_rad_s,
-            linear_m_s2: config.platform.max_linear_accel_m_s2,
-            angular_rad_s2: config.platform.max_angular_accel_rad_s2,
-        };
-        Self { ipc: config.ipc.clone(), gate: GateParams::new(&config.safety, limits) }
+        Self { ipc: config.ipc.clone(), gate: config.gate_params() }
     }
 }
 

@@ -13,14 +13,7 @@ use plot_scale::{Scale, dark};
 use std::time::{Duration, Instant};
 
 const WHITE: [u8; 3] = [255, 255, 255];
-const LAYERS: [LayerName; 6] = [
-    LayerName::PassThrough,
-    LayerName::CollisionAvoidance,
-    LayerName::ObstacleAvoidance,
-    LayerName::FlowFollowing,
-    LayerName::CorridorFollowing,
-    LayerName::Stopped,
-];
+const LAYERS: [LayerName; 6] = LayerName::ALL;
 
 fn open_wall(points: &[[f64; 2]]) -> Wall {
     Wall { points: points.to_vec(), closed: false }

@@ -9,7 +9,7 @@ use super::layer::{BehaviourLayer, Hysteresis, LayerOutput, Situation, is_above,
 use super::params::CollisionAvoidanceParams;
 use crate::signal::{LayerCue, LayerName, Velocity};
 
-/// Nearer by less than this, with a turn asked for, counts as equally near.
+/// Nearer by no more than this, with a turn asked for, counts as equally near: c / (2 bandwidth) is 7 mm, and the axis errs a little.
 const RANGE_RESOLUTION_M: f64 = 0.01;
 
 /// Way behind the footprint that must be seen and free for the next piece of reverse, besides that piece.
@@ -69,12 +69,13 @@ impl CollisionAvoidance {
     /// +1 to turn left, -1 right: away from the nearest reflection; with none, or left and right equally near, the way that
     /// the wanted velocity turns, else the way turned last, else left.
     fn choose_turn(&self, cue: &LayerCue, asked_rad_s: f64) -> f64 {
-        // What leads by less than the range resolution, c / (2 bandwidth) = 7 mm and the axis' error, is no nearer: a wall ahead need not be square.
-        let nearly_tied = asked_rad_s != 0.0 && cue.nearest.is_some_and(|nearest| nearest.lead_m <= RANGE_RESOLUTION_M);
-        match cue.nearest.map_or(0, |nearest| if nearly_tied { 0 } else { nearest.side }) {
-            0 if asked_rad_s != 0.0 => asked_rad_s.signum(),
-            0 => self.last_turn.unwrap_or(1.0),
-            side => -f64::from(side.signum()),
+        let asked = (asked_rad_s != 0.0).then(|| asked_rad_s.signum());
+        match cue.nearest.filter(|nearest| nearest.side != 0) {
+            // A wall ahead need not be square to be as near on the left as on the right.
+            Some(nearest) if asked.is_none() || !(nearest.lead_m <= RANGE_RESOLUTION_M) => {
+                -f64::from(nearest.side.signum())
+            }
+            _ => asked.or(self.last_turn).unwrap_or(1.0),
         }
     }
 

@@ -56,8 +56,19 @@ const SENSOR_REACH_M: f64 = 0.20;
 /// Way from the last good capture to standstill after a silent fault, at full speed.
 #[must_use]
 pub fn silent_stop_m(platform: &PlatformLimits) -> f64 {
-    let speed_m_s = platform.max_linear_m_s;
-    speed_m_s * SILENT_FAULT_S + speed_m_s * speed_m_s / (2.0 * platform.max_linear_accel_m_s2)
+    unseen_way_m(platform) + braking_way_m(platform)
+}
+
+/// The part of it that is driven before the output is zero.
+#[must_use]
+pub fn unseen_way_m(platform: &PlatformLimits) -> f64 {
+    platform.max_linear_m_s * SILENT_FAULT_S
+}
+
+/// The part of it that is braked.
+#[must_use]
+pub fn braking_way_m(platform: &PlatformLimits) -> f64 {
+    platform.max_linear_m_s * platform.max_linear_m_s / (2.0 * platform.max_linear_accel_m_s2)
 }
 
 /// Least radius of a safe CA region: the way to a stop, the robot itself and the error of a range (safety rule 27).

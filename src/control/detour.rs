@@ -64,6 +64,11 @@ impl Detour {
         }
     }
 
+    /// Forgets everything but the robot's size.
+    pub(super) fn forget(&mut self) {
+        (self.places, self.last) = ([None; PLACES_MAX], None);
+    }
+
     /// Whether something that was avoided is not passed yet.
     pub(super) fn is_under_way(&self) -> bool {
         self.places.iter().any(Option::is_some)

@@ -165,7 +165,7 @@ impl Controller {
         self.layers.iter_mut().for_each(|layer| layer.reset());
         self.progress = Progress::new(&self.params.stuck);
         self.approach = Approach::default();
-        self.detour = Detour::new(half_lane_m(&self.params, &self.platform), self.platform.radius_m);
+        self.detour.forget();
         self.avoided = None;
         (self.last, self.last_now) = (Velocity::ZERO, None);
     }

@@ -76,6 +76,14 @@ impl Image {
             backend: BackendKind::Cpu,
         }
     }
+
+    /// Says of which ping set this is the image, and who made it; all sensors present were imaged.
+    pub(super) fn stamp(&mut self, pings: &PingSet, backend: BackendKind) {
+        self.imaged = pings.present;
+        self.backend = backend;
+        self.sequence = pings.sequence;
+        self.emitted_at = pings.emitted_at;
+    }
 }
 
 /// The two twins. The numbers are on the wire.

@@ -23,6 +23,7 @@ pub mod trial;
 pub mod wiring;
 
 use crate::config::Config;
+use crate::control::default_regions;
 use crate::imaging::backend::BackendError;
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
@@ -138,12 +139,10 @@ pub fn run(
 
 fn stopping_line(config: &Config) -> String {
     let platform = &config.platform;
-    let speed = platform.max_linear_m_s;
-    let silent_m = speed * 0.35;
-    let braking_m = speed * speed / (2.0 * platform.max_linear_accel_m_s2);
+    let (unseen_m, braking_m) = (default_regions::unseen_way_m(platform), default_regions::braking_way_m(platform));
     format!(
-        "worst stop at {speed} m/s: {silent_m:.3} m unseen + {braking_m:.3} m braking, radius {} m",
-        platform.radius_m
+        "worst stop at {} m/s: {unseen_m:.3} m unseen + {braking_m:.3} m braking, radius {} m",
+        platform.max_linear_m_s, platform.radius_m
     )
 }
 
@@ -163,8 +162,7 @@ fn open_source(
         SourceChoice::Simulator { world, seed, endless } => {
             let params = SimParams { repeat_waypoints: *endless, ..SimParams::default() };
             let simulator = simulator(config, setup, (**world).clone(), params, *seed)?;
-            let recording_s = setup.recording.samples as f64 / setup.recording.sample_rate_hz;
-            Ok(Box::new(SimulatorSource::open(simulator, ipc, rate_hz, recording_s)?))
+            Ok(Box::new(SimulatorSource::open(simulator, ipc, rate_hz, setup.recording.duration_s())?))
         }
         SourceChoice::Replay(paths) => {
             let words = wiring::words_per_ping(config);
@@ -230,7 +228,7 @@ fn decision_loop(config: &Config, pipeline: Pipeline, topics: DaemonTopics, ipc:
             wall_corridor: control.flow_following.threshold_corridor,
         },
         input_max_age_ns: config.safety.input_max_age_ns(),
-        recording_ns: (setup.recording.samples as f64 / setup.recording.sample_rate_hz * 1e9) as u64,
+        recording_ns: (setup.recording.duration_s() * 1e9) as u64,
         period_ns,
         reporter: Reporter::new(period_ns as f64 * 1e-6),
         input: None,

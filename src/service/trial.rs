@@ -14,9 +14,9 @@ use crate::geometry::Pose2;
 use crate::imaging::backend::{BackendError, BackendReport};
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
-use crate::safety::{CommandSample, DaemonEvent, Gate, GateEvent, GateParams, GateState, MotionLimits, OperatorEvent};
+use crate::safety::{CommandSample, DaemonEvent, Gate, GateEvent, GateState, OperatorEvent};
 use crate::signal::{Cause, Cues, DaemonState, Energyscape, LayerName, PingSet, SENSORS_MAX, Velocity};
-use crate::sim::{RunScore, SimParams, Simulator, World};
+use crate::sim::{RunScore, SimParams, Simulator, Stay, World};
 use crate::time::Stamp;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -212,7 +212,7 @@ struct Drive {
     /// Commands on their way to the gate, and when they arrive.
     under_way: VecDeque<(u64, CommandSample)>,
     track: Vec<TrackPoint>,
-    stuck: StuckWatch,
+    unhindered: Stay,
     turns: TurnCounter,
 }
 
@@ -223,27 +223,19 @@ impl Drive {
         let masks = rig.masks.clone();
         let imager = open_imager(setup, &masks, options.prefer)?;
         let start = stamp(CLOCK_START_NS);
-        let platform = &config.platform;
-        let limits = MotionLimits {
-            linear_m_s: platform.max_linear_m_s,
-            angular_rad_s: platform.max_angular_rad_s,
-            linear_m_s2: platform.max_linear_accel_m_s2,
-            angular_rad_s2: platform.max_angular_accel_rad_s2,
-        };
         // A tick is 20 ms; so is every moment of the trial a multiple of it.
         let period_ns = (1e9 / config.control.rate_hz / TICK_NS as f64).round().max(1.0) as u64 * TICK_NS;
-        let recording_s = setup.recording.samples as f64 / setup.recording.sample_rate_hz;
         Ok(Self {
             pings: simulator.empty_ping_set(),
             pipeline: Pipeline::new(config, setup.clone(), masks, imager, EPOCH, start),
-            gate: Gate::new(GateParams::new(&config.safety, limits), start),
+            gate: Gate::new(config.gate_params(), start),
             now_ns: CLOCK_START_NS,
             period_ns,
-            recording_ns: Duration::from_secs_f64(recording_s).as_nanos() as u64,
+            recording_ns: Duration::from_secs_f64(setup.recording.duration_s()).as_nanos() as u64,
             sequence: 0,
             under_way: VecDeque::new(),
             track: Vec::new(),
-            stuck: StuckWatch::new(simulator.pose()),
+            unhindered: Stay::new(simulator.pose().position_m()),
             turns: TurnCounter::default(),
             simulator,
         })
@@ -335,7 +327,8 @@ impl Drive {
             clearance_m: self.simulator.clearance_m(),
             mover_clearance_m: self.simulator.mover_clearance_m(),
         };
-        self.stuck.note(&point);
+        let unhindered = wanted != Velocity::ZERO && !(point.mover_clearance_m < MOVER_NEAR_M);
+        self.unhindered.note(time_s, point.pose.position_m(), unhindered);
         self.turns.note(&point);
         self.track.push(point);
         Ok(watch(&Moment { point: &point, cues: &outcome.cues, energyscapes: &self.pipeline.image().energyscapes }))
@@ -345,7 +338,7 @@ impl Drive {
         let score = self.simulator.score();
         Trial {
             seed,
-            longest_stuck_unhindered_s: self.stuck.longest_s,
+            longest_stuck_unhindered_s: self.unhindered.longest_s(),
             turn_changes_per_m: self.turns.changes as f64 / score.path_length_m.max(1e-9),
             score,
             track: self.track,
@@ -355,29 +348,6 @@ impl Drive {
 
 fn stamp(boottime_ns: u64) -> Stamp {
     Stamp { boottime_ns, wall_ns: boottime_ns }
-}
-
-/// Longest stay within 0.1 m of one place while motion was wanted and no mover was near.
-struct StuckWatch {
-    anchor: Pose2,
-    since_s: f64,
-    longest_s: f64,
-}
-
-impl StuckWatch {
-    const PROGRESS_M: f64 = 0.1;
-
-    fn new(anchor: Pose2) -> Self {
-        Self { anchor, since_s: 0.0, longest_s: 0.0 }
-    }
-
-    fn note(&mut self, point: &TrackPoint) {
-        let moved = (point.pose.position_m() - self.anchor.position_m()).norm() > Self::PROGRESS_M;
-        if moved || point.wanted == Velocity::ZERO || point.mover_clearance_m < MOVER_NEAR_M {
-            (self.anchor, self.since_s) = (point.pose, point.time_s);
-        }
-        self.longest_s = self.longest_s.max(point.time_s - self.since_s);
-    }
 }
 
 /// Counts changes of the turn's sign while walls or corridors are followed.

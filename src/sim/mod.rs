@@ -21,7 +21,7 @@ mod world;
 
 pub use params::{Air, Bursts, JAMMERS_MAX, Jammer, MotionLimits, RobotParams, SimError, SimParams};
 pub use robot::Odometry;
-pub use score::RunScore;
+pub use score::{RunScore, Stay};
 pub use world::{Mover, Outline, PathLoop, Pillar, Start, Wall, WantedVelocity, World};
 
 use crate::geometry::shape::Shape;

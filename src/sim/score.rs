@@ -34,14 +34,43 @@ pub(super) fn is_clear(clearance_m: f64) -> bool {
     clearance_m > 0.0
 }
 
+/// The longest time that a robot stayed within 0.1 m of one place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stay {
+    anchor_m: Vector2<f64>,
+    since_s: f64,
+    longest_s: f64,
+}
+
+impl Stay {
+    /// A robot at `place_m`, at time 0.
+    #[must_use]
+    pub fn new(place_m: Vector2<f64>) -> Self {
+        Self { anchor_m: place_m, since_s: 0.0, longest_s: 0.0 }
+    }
+
+    /// Notes where the robot is; unless it `counts`, it is as if the robot had just come there.
+    pub fn note(&mut self, time_s: f64, place_m: Vector2<f64>, counts: bool) {
+        if !counts || (place_m - self.anchor_m).norm() > PROGRESS_M {
+            (self.anchor_m, self.since_s) = (place_m, time_s);
+        }
+        self.longest_s = self.longest_s.max(time_s - self.since_s);
+    }
+
+    /// The longest so far.
+    #[must_use]
+    pub fn longest_s(&self) -> f64 {
+        self.longest_s
+    }
+}
+
 /// What is kept while a run goes on.
 #[derive(Debug, Clone)]
 pub(super) struct Scorer {
     pub(super) score: RunScore,
     pub(super) finished: bool,
     place_m: Vector2<f64>,
-    anchor_m: Vector2<f64>,
-    anchored_at_s: f64,
+    stay: Stay,
 }
 
 impl Scorer {
@@ -56,7 +85,7 @@ impl Scorer {
             min_clearance_m: clearance_m,
             mean_speed_m_s: 0.0,
         };
-        Self { score, finished: false, place_m, anchor_m: place_m, anchored_at_s: 0.0 }
+        Self { score, finished: false, place_m, stay: Stay::new(place_m) }
     }
 
     /// Notes where the robot is now. `waypoints` is how many are reached and how many there are.
@@ -80,11 +109,8 @@ impl Scorer {
         score.min_clearance_m = score.min_clearance_m.min(clearance_m.max(0.0));
         score.collided |= !is_clear(clearance_m);
         score.waypoints_reached = waypoints.0;
-        if !motion_wanted || (place_m - self.anchor_m).norm() > PROGRESS_M {
-            self.anchor_m = place_m;
-            self.anchored_at_s = time_s;
-        }
-        score.longest_stuck_s = score.longest_stuck_s.max(time_s - self.anchored_at_s);
+        self.stay.note(time_s, place_m, motion_wanted);
+        score.longest_stuck_s = self.stay.longest_s();
         // A step may end a hair beside the limit.
         let in_time = time_s <= time_limit_s + 1e-9;
         let at_limit = time_s >= time_limit_s - 1e-9;

@@ -186,10 +186,7 @@ impl Backend for CpuBackend {
             }
         }
         self.work.copy_sums(&mut image.sums);
-        image.imaged = pings.present;
-        image.backend = BackendKind::Cpu;
-        image.sequence = pings.sequence;
-        image.emitted_at = pings.emitted_at;
+        image.stamp(pings, BackendKind::Cpu);
         Ok(())
     }
 

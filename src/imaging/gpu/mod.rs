@@ -347,10 +347,7 @@ impl Backend for GpuBackend {
         self.check(pings, image)?;
         self.submit_and_wait(pings, pings.present, image, self.limit)?;
         self.take_result(pings, pings.present, image)?;
-        image.imaged = pings.present;
-        image.backend = BackendKind::Gpu;
-        image.sequence = pings.sequence;
-        image.emitted_at = pings.emitted_at;
+        image.stamp(pings, BackendKind::Gpu);
         Ok(())
     }
 
