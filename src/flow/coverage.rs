@@ -24,8 +24,8 @@ pub(super) fn bits(used: [bool; SENSORS_MAX]) -> usize {
     used.iter().enumerate().fold(0, |bits, (index, used)| bits | usize::from(*used) << index)
 }
 
-/// What the sensors can see at all.
-pub(super) struct View<'a> {
+/// What the sensors can see at all: whatever they hear, within range of them and in a direction that nothing hides.
+pub struct View<'a> {
     grid: &'a PolarGrid,
     mounts: &'a [Mount],
     hidden: &'a [Vec<bool>],
@@ -34,7 +34,9 @@ pub(super) struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    pub(super) fn new(grid: &'a PolarGrid, mounts: &'a [Mount], hidden: &'a [Vec<bool>]) -> Self {
+    /// Sensors at `mounts` that share `grid`; `hidden[sensor][direction]` says what each cannot see.
+    #[must_use]
+    pub fn new(grid: &'a PolarGrid, mounts: &'a [Mount], hidden: &'a [Vec<bool>]) -> Self {
         let mut azimuths: Vec<f64> = grid.directions().iter().filter(|d| is_level(d)).map(|d| d.azimuth_rad).collect();
         azimuths.sort_by(f64::total_cmp);
         let mut gaps: Vec<f64> = azimuths.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > 0.0).collect();
@@ -47,16 +49,23 @@ impl<'a> View<'a> {
     /// Bit set of the sensors that see a point of the robot frame: within range of, and near enough in bearing to, a
     /// direction that is not hidden. Of grids with elevations the directions within a beam of the horizontal plane count.
     pub(super) fn seen_by(&self, point_m: Vector2<f64>) -> usize {
-        let sensors = self.mounts.iter().zip(self.hidden).enumerate();
-        sensors.fold(0, |bits, (index, (mount, hidden))| bits | usize::from(self.sees(mount, hidden, point_m)) << index)
+        (0..self.mounts.len()).fold(0, |bits, sensor| bits | usize::from(self.sees(sensor, point_m)) << sensor)
     }
 
-    fn sees(&self, mount: &Mount, hidden: &[bool], point_m: Vector2<f64>) -> bool {
-        let (range_m, bearing_rad) = polar_from_cartesian(mount.pose().local_from_parent(point_m));
+    fn sees(&self, sensor_index: usize, point_m: Vector2<f64>) -> bool {
+        let local_m = self.mounts[sensor_index].pose().local_from_parent(point_m);
+        let (range_m, bearing_rad) = polar_from_cartesian(local_m);
         let last_m = self.grid.range_m(self.grid.range_count() - 1);
-        if !(range_m >= self.grid.range_first_m() && range_m <= last_m) {
-            return false;
-        }
+        range_m >= self.grid.range_first_m() && range_m <= last_m && self.sees_bearing(sensor_index, bearing_rad)
+    }
+
+    /// Whether the direction of interest nearest to a bearing from a sensor is near enough to it, and not hidden.
+    ///
+    /// # Panics
+    /// If there is no such sensor.
+    #[must_use]
+    pub fn sees_bearing(&self, sensor_index: usize, bearing_rad: f64) -> bool {
+        let hidden = &self.hidden[sensor_index];
         let levels = self.grid.directions().iter().zip(hidden).filter(|(direction, _)| is_level(direction));
         levels
             .map(|(direction, hidden)| (wrap_angle_rad(direction.azimuth_rad - bearing_rad).abs(), *hidden))

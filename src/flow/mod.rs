@@ -14,6 +14,7 @@ mod params;
 mod peaks;
 pub mod region;
 
+pub use coverage::View;
 pub use energy::{CalibrationError, NoiseFloor, RangeGain};
 pub use field::{FlowRate, flow_rate};
 pub use mask::{FLOW_LINES_MAX, MaskSet};

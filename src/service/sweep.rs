@@ -11,15 +11,17 @@ use super::ServiceError;
 use super::proving::{Entrant, Run};
 use super::trial::{TrackPoint, TrialOptions, TrialRig};
 use crate::config::Config;
+use crate::flow::View;
 use crate::geometry::{Pose2, polar_from_cartesian, wrap_angle_rad};
 use crate::parameter::ParameterError;
-use crate::sensor::dead_zone::{HOUSING_DEPTH_M, HOUSING_WIDTH_M};
-use crate::sensor::{MountParams, SensorParams};
-use crate::signal::{Direction, SENSORS_MAX};
+use crate::sensor::dead_zone::{self, HOUSING_DEPTH_M, HOUSING_WIDTH_M};
+use crate::sensor::{Mount, MountParams, SensorParams};
+use crate::signal::SENSORS_MAX;
 use crate::sim::World;
 use nalgebra::Vector2;
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand_chacha::rand_core::SeedableRng;
 use std::cmp::Ordering;
 
 /// A clearance below this is a near-miss.
@@ -35,8 +37,6 @@ const PLACE_STEP_M: f64 = 0.005;
 const ANGLE_STEP_DEG: f64 = 5.0;
 /// Distance from the footprint's rim at which it is counted how much around the robot is seen.
 const AROUND_M: f64 = 0.5;
-/// A place within this of a direction is heard in it.
-const BEAM_HALF_WIDTH_RAD: f64 = 4.0 * std::f64::consts::PI / 180.0;
 /// Bins of a turn in the table of what is seen.
 const BEARING_BINS: usize = 720;
 
@@ -65,8 +65,8 @@ fn draw_one(
 ) -> Result<Entrant, ServiceError> {
     // There are fewer ways to place one sensor than three: a sixth, a third and a half of the candidates. Both are decided
     // before anything is refused, or the layouts that are refused least would be drawn most.
-    let count = [1, 2, 2, SENSORS_MAX, SENSORS_MAX, SENSORS_MAX][(6.0 * uniform(random)) as usize];
-    let symmetrical = uniform(random) < SYMMETRICAL_SHARE;
+    let count = [1, 2, 2, SENSORS_MAX, SENSORS_MAX, SENSORS_MAX][(6.0 * random.random::<f64>()) as usize];
+    let symmetrical = random.random::<f64>() < SYMMETRICAL_SHARE;
     for _ in 0..DRAWS_MAX {
         let places = draw_places(count, symmetrical, config.platform.radius_m, random);
         if !can_be_built(&places) || !places.iter().any(looks_ahead) {
@@ -126,7 +126,7 @@ fn draw_places(count: usize, symmetrical: bool, radius_m: f64, random: &mut ChaC
     }
     let mut places = Vec::new();
     if count % 2 == 1 {
-        let ahead = count == 1 || uniform(random) < AHEAD_SHARE;
+        let ahead = count == 1 || random.random::<f64>() < AHEAD_SHARE;
         let place = draw_place(radius_m, random);
         let bearing_deg = if place.bearing_deg.abs() < 90.0 { 0.0 } else { 180.0 };
         places.push(Place { bearing_deg, heading_deg: if ahead { 0.0 } else { 180.0 }, ..place });
@@ -140,9 +140,9 @@ fn draw_places(count: usize, symmetrical: bool, radius_m: f64, random: &mut ChaC
 
 fn draw_place(radius_m: f64, random: &mut ChaCha8Rng) -> Place {
     // Uniform over the disc, not over its radius.
-    let within_m = radius_m * uniform(random).sqrt();
-    let distance_m = if uniform(random) < RIM_SHARE { radius_m } else { within_m };
-    let angle_deg = |random: &mut ChaCha8Rng| round_to(360.0 * uniform(random) - 180.0, ANGLE_STEP_DEG);
+    let within_m = radius_m * random.random::<f64>().sqrt();
+    let distance_m = if random.random::<f64>() < RIM_SHARE { radius_m } else { within_m };
+    let angle_deg = |random: &mut ChaCha8Rng| round_to(360.0 * random.random::<f64>() - 180.0, ANGLE_STEP_DEG);
     Place {
         distance_m: round_to(distance_m, PLACE_STEP_M).min(radius_m),
         bearing_deg: angle_deg(random),
@@ -154,11 +154,6 @@ fn round_to(value: f64, step: f64) -> f64 {
     let steps = (value / step).round();
     // Dividing by the whole number of steps in one keeps 0.15 from becoming 0.15000000000000002.
     if step < 1.0 { steps / (1.0 / step).round() } else { steps * step }
-}
-
-/// Uniform in [0, 1), 53 bits.
-fn uniform(random: &mut ChaCha8Rng) -> f64 {
-    (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 /// Whether no housing stands in another.
@@ -179,8 +174,7 @@ fn housing_points_m(place: &Place) -> impl Iterator<Item = Vector2<f64>> {
 }
 
 fn in_housing(place: &Place, point_m: Vector2<f64>) -> bool {
-    let local_m = place.pose().local_from_parent(point_m);
-    (-HOUSING_DEPTH_M..=0.0).contains(&local_m.x) && local_m.y.abs() <= 0.5 * HOUSING_WIDTH_M
+    dead_zone::housing().contains(place.pose().local_from_parent(point_m))
 }
 
 /// Cheaper than the masks, which have the last word.
@@ -321,11 +315,11 @@ impl<'a> Sight<'a> {
     pub fn new(rig: &'a TrialRig) -> Self {
         let plan = &rig.setup().plan;
         let grid = &plan.grid;
-        let tolerance_rad = tolerance_rad(grid.directions());
-        let sensors = rig.setup().sensors.iter().zip(&plan.sensors);
-        let views = sensors
-            .map(|(sensor, plan)| (sensor.mount.pose(), seen_bins(grid.directions(), &plan.hidden, tolerance_rad)))
-            .collect();
+        let mounts: Vec<Mount> = rig.setup().sensors.iter().map(|sensor| sensor.mount).collect();
+        let hidden: Vec<Vec<bool>> = plan.sensors.iter().map(|sensor| sensor.hidden.clone()).collect();
+        let view = View::new(grid, &mounts, &hidden);
+        let bins = |sensor| (0..BEARING_BINS).map(|bin| view.sees_bearing(sensor, bearing_of_rad(bin))).collect();
+        let views = mounts.iter().enumerate().map(|(sensor, mount)| (mount.pose(), bins(sensor))).collect();
         Self { rig, views, ranges_m: (grid.range_first_m(), grid.range_m(grid.range_count() - 1)) }
     }
 
@@ -354,28 +348,9 @@ impl<'a> Sight<'a> {
     }
 }
 
-/// For each bearing whether the nearest direction is near enough and not hidden.
-fn seen_bins(directions: &[Direction], hidden: &[bool], tolerance_rad: f64) -> Vec<bool> {
-    let seen = |bin: usize| {
-        let bearing_rad = ((bin as f64 + 0.5) / BEARING_BINS as f64 - 0.5) * std::f64::consts::TAU;
-        let offset_rad = |direction: &Direction| wrap_angle_rad(direction.azimuth_rad - bearing_rad).abs();
-        let level = directions.iter().zip(hidden).filter(|(direction, _)| is_level(direction));
-        let nearest = level.min_by(|a, b| offset_rad(a.0).total_cmp(&offset_rad(b.0)));
-        nearest.is_some_and(|(direction, hidden)| !hidden && offset_rad(direction) <= tolerance_rad)
-    };
-    (0..BEARING_BINS).map(seen).collect()
-}
-
-/// Places between two directions are seen, places beyond the last one are not.
-fn tolerance_rad(directions: &[Direction]) -> f64 {
-    let mut azimuths: Vec<f64> = directions.iter().filter(|d| is_level(d)).map(|d| d.azimuth_rad).collect();
-    azimuths.sort_by(f64::total_cmp);
-    let gaps = azimuths.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > 0.0);
-    (0.6 * gaps.fold(0.0, f64::max)).clamp(0.0, BEAM_HALF_WIDTH_RAD)
-}
-
-fn is_level(direction: &Direction) -> bool {
-    direction.elevation_rad.abs() <= BEAM_HALF_WIDTH_RAD
+/// Bearing of the middle of a bin.
+fn bearing_of_rad(bin: usize) -> f64 {
+    ((bin as f64 + 0.5) / BEARING_BINS as f64 - 0.5) * std::f64::consts::TAU
 }
 
 fn bin(bearing_rad: f64) -> usize {

@@ -33,8 +33,9 @@ use crate::time::Stamp;
 use echo::EchoMaker;
 use guidance::Guidance;
 use obstacles::Obstacles;
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand_chacha::rand_core::SeedableRng;
 use robot::Robot;
 use score::{Scorer, is_clear};
 
@@ -278,10 +279,10 @@ fn start_pose(start: &Start, robot: &Robot, obstacles: &Obstacles, seed: u64) ->
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     for _ in 0..START_TRIES {
         let pose = Pose2 {
-            x_m: start.corner[0] + start.size[0] * uniform(&mut random),
-            y_m: start.corner[1] + start.size[1] * uniform(&mut random),
+            x_m: start.corner[0] + start.size[0] * random.random::<f64>(),
+            y_m: start.corner[1] + start.size[1] * random.random::<f64>(),
             heading_rad: wrap_angle_rad(
-                (start.heading_deg + start.heading_spread_deg * (2.0 * uniform(&mut random) - 1.0)).to_radians(),
+                (start.heading_deg + start.heading_spread_deg * (2.0 * random.random::<f64>() - 1.0)).to_radians(),
             ),
         };
         if robot.clearance_m(&pose, obstacles) > 0.0 {
@@ -295,10 +296,5 @@ fn start_pose(start: &Start, robot: &Robot, obstacles: &Obstacles, seed: u64) ->
 fn wheel_scale(drift: f64, seed: u64) -> [f64; 2] {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(1);
-    std::array::from_fn(|_| 1.0 + drift * ((0..12).map(|_| uniform(&mut random)).sum::<f64>() - 6.0))
-}
-
-/// Uniform in [0, 1), 53 bits.
-fn uniform(random: &mut ChaCha8Rng) -> f64 {
-    (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    std::array::from_fn(|_| 1.0 + drift * ((0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0))
 }

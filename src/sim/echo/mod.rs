@@ -26,7 +26,7 @@ use super::params::{SimError, SimParams};
 use crate::geometry::Pose2;
 use crate::geometry::shape::Shape;
 use crate::parameter::check_range;
-use crate::sensor::dead_zone::{HOUSING_DEPTH_M, HOUSING_WIDTH_M};
+use crate::sensor::dead_zone::{self, HOUSING_DEPTH_M, HOUSING_WIDTH_M};
 use crate::sensor::{RecordingFormat, SensorSetup};
 use crate::signal::{SENSORS_MAX, SampleFormat, Samples, Velocity};
 use jammer::{Jamming, Listening};
@@ -236,9 +236,7 @@ impl EchoMaker {
             let origin_m = sensor.mount.position_m();
             for (other, host) in self.sensors.iter().enumerate() {
                 let local_m = host.mount.pose().local_from_parent(origin_m);
-                let across_m = 0.5 * HOUSING_WIDTH_M;
-                let inside = (-HOUSING_DEPTH_M..=0.0).contains(&local_m.x) && local_m.y.abs() <= across_m;
-                if own == other || inside {
+                if own == other || dead_zone::housing().contains(local_m) {
                     self.stations[own].looks_through |= 1 << other;
                 }
             }
