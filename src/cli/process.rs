@@ -133,7 +133,7 @@ impl Job<'_> {
         let mut spool = NewFile::create(&values)?;
         let bar = progress(expected as u64, "imaging");
         loop {
-            match recording.read_ping(&mut pings.pings[0].samples) {
+            match recording.read_ping(pings.pings[0].samples_mut()) {
                 Ok(true) => {}
                 Ok(false) => break,
                 Err(error) => {
