@@ -114,6 +114,11 @@ fn cases() -> Vec<Case> {
     let mut case = Case::new("one microphone, one direction", one, sweep, pcm(250e3, 3000), bearings(1));
     case.params = range(0.3, 1.5, None);
     cases.push(case);
+
+    let plane = vec![random_array(20, 0.06, true, 9)];
+    let mut case = Case::new("from range zero, bearings in mirror pairs", plane, sweep, pcm(250e3, 4003), bearings(38));
+    case.params = range(0.0, 2.2, None);
+    cases.push(case);
     cases
 }
 

@@ -338,7 +338,7 @@ fn parameters_that_cannot_work_are_refused_by_their_key() {
     assert_eq!(refused(&|case| case.params.range_max_m = 6.3), "imaging.range_max_m");
     assert_eq!(refused(&|case| case.params.range_max_m = 0.2), "imaging.range_max_m");
     assert_eq!(refused(&|case| case.params.range_max_m = f64::NAN), "imaging.range_max_m");
-    assert_eq!(refused(&|case| case.params.range_min_m = 0.0), "imaging.range_min_m");
+    assert_eq!(refused(&|case| case.params.range_min_m = -0.1), "imaging.range_min_m");
     assert_eq!(refused(&|case| case.params.range_min_m = f64::NAN), "imaging.range_min_m");
     assert_eq!(refused(&|case| case.params.range_step_m = Some(0.0)), "imaging.range_step_m");
     assert_eq!(refused(&|case| case.params.range_step_m = Some(f64::NAN)), "imaging.range_step_m");

@@ -64,12 +64,10 @@ impl ChannelReport {
     /// Judges the channels of one raw ping and sets the gains. Allocates nothing. Samples of another length than the plan's count as
     /// stuck.
     pub fn judge(&mut self, plan: &ImagingPlan, sensor_index: usize, samples: &Samples) {
-        let sensor = &plan.sensors[sensor_index];
-        let rate_hz = plan.sample_rate_hz * plan.decimation as f64;
-        let clip_from = ((sensor.clip_after_s * rate_hz).ceil() as usize).min(plan.raw_count);
+        let clip_from = clip_from(plan, sensor_index);
         if samples.len() == plan.raw_len(sensor_index) {
             match samples {
-                Samples::Pdm(words) => judge_words(words, clip_from, &mut self.findings),
+                Samples::Pdm(words) => judge_words(words, clip_from).tell(&mut self.findings),
                 Samples::PcmI16(values) => {
                     let rows = self.findings.iter_mut().zip(values.chunks_exact(plan.raw_count));
                     rows.for_each(|(finding, row)| *finding = judge_i16(row, clip_from));
@@ -82,10 +80,11 @@ impl ChannelReport {
         } else {
             self.findings.fill(ChannelFinding::Stuck);
         }
-        self.set_gains(sensor);
+        self.set_gains(&plan.sensors[sensor_index]);
     }
 
-    fn set_gains(&mut self, sensor: &SensorPlan) {
+    /// Sets the gains that follow from the findings; disabled channels are found to be so.
+    pub(super) fn set_gains(&mut self, sensor: &SensorPlan) {
         for (finding, weight) in self.findings.iter_mut().zip(&sensor.weights) {
             if *weight == 0.0 {
                 *finding = ChannelFinding::Disabled;
@@ -126,6 +125,13 @@ impl ChannelReport {
     }
 }
 
+/// First raw sample of a channel from which clipping counts.
+pub(super) fn clip_from(plan: &ImagingPlan, sensor_index: usize) -> usize {
+    let rate_hz = plan.sample_rate_hz * plan.decimation as f64;
+    ((plan.sensors[sensor_index].clip_after_s * rate_hz).ceil() as usize).min(plan.raw_count)
+}
+
+#[inline(always)]
 fn finding(not_finite: bool, stuck: bool, clipped: bool) -> ChannelFinding {
     if not_finite {
         ChannelFinding::NotFinite
@@ -139,11 +145,14 @@ fn finding(not_finite: bool, stuck: bool, clipped: bool) -> ChannelFinding {
 }
 
 /// Bits of a magnitude as an integer: it orders like the magnitude, with infinities and NaN on top.
+#[inline(always)]
 fn magnitude_bits(value: f32) -> i32 {
     (value.to_bits() & 0x7fff_ffff) as i32
 }
 
-fn judge_f32(row: &[f32], clip_from: usize) -> ChannelFinding {
+/// Judges one channel.
+#[inline(always)]
+pub(super) fn judge_f32(row: &[f32], clip_from: usize) -> ChannelFinding {
     let first = row.first().map_or(0, |value| value.to_bits());
     let senseless = magnitude_bits(SENSELESS);
     let (mut beyond, mut differing, mut any) = (0_i32, 0_u32, 0_i32);
@@ -158,7 +167,9 @@ fn judge_f32(row: &[f32], clip_from: usize) -> ChannelFinding {
     finding(beyond != 0, differing == 0 || any == 0, has_run(&row[clip_from..], |value| magnitude_bits(value) >= full))
 }
 
-fn judge_i16(row: &[i16], clip_from: usize) -> ChannelFinding {
+/// Judges one channel.
+#[inline(always)]
+pub(super) fn judge_i16(row: &[i16], clip_from: usize) -> ChannelFinding {
     let first = row.first().copied().unwrap_or(0);
     let differing = row.iter().fold(0, |differing, value| differing | (value ^ first));
     let full = |value: i16| (value == i16::MAX) | (value <= -i16::MAX);
@@ -180,14 +191,44 @@ fn has_run<T: Copy>(row: &[T], full: impl Fn(T) -> bool) -> bool {
     found != 0
 }
 
-fn judge_words(words: &[u32], clip_from: usize, findings: &mut [ChannelFinding]) {
-    let (ones, any) = words.iter().fold((u32::MAX, 0), |(ones, any), word| (ones & word, any | word));
-    let stuck = ones | !any;
-    let clipped = long_runs(&words[clip_from..]);
-    for (channel, found) in findings.iter_mut().enumerate() {
-        let bit = |bits: u32| bits >> channel & 1 == 1;
-        *found = finding(false, bit(stuck), bit(clipped));
+/// What was found in some words, a bit a channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct WordFindings {
+    /// All bits were ones.
+    ones: u32,
+    /// Some bit was one.
+    any: u32,
+    /// [`PDM_RUN`] equal bits in a row.
+    clipped: u32,
+}
+
+impl WordFindings {
+    /// Of no words.
+    pub(super) const NONE: WordFindings = WordFindings { ones: u32::MAX, any: 0, clipped: 0 };
+
+    /// Of these words and those of `other`. Runs that begin in one and end in the other are in neither: pieces must overlap.
+    pub(super) fn and(self, other: Self) -> Self {
+        Self { ones: self.ones & other.ones, any: self.any | other.any, clipped: self.clipped | other.clipped }
     }
+
+    /// Says so channel by channel.
+    pub(super) fn tell(self, findings: &mut [ChannelFinding]) {
+        let stuck = self.ones | !self.any;
+        for (channel, found) in findings.iter_mut().enumerate() {
+            let bit = |bits: u32| bits >> channel & 1 == 1;
+            *found = finding(false, bit(stuck), bit(self.clipped));
+        }
+    }
+}
+
+/// Words by which two pieces must overlap.
+pub(super) const WORDS_OVERLAP: usize = PDM_RUN - 1;
+
+/// Judges some words of all channels; runs count from `clip_from` on.
+#[inline(always)]
+pub(super) fn judge_words(words: &[u32], clip_from: usize) -> WordFindings {
+    let (ones, any) = words.iter().fold((u32::MAX, 0), |(ones, any), word| (ones & word, any | word));
+    WordFindings { ones, any, clipped: long_runs(&words[clip_from.min(words.len())..]) }
 }
 
 /// Words of one step of the search for runs.
@@ -195,6 +236,7 @@ const STEP: usize = 1024;
 
 /// Bits that stay equal over [`PDM_RUN`] words somewhere. Runs double from pass to pass: a run of 2 n begins where a run of n is followed
 /// by another.
+#[inline(always)]
 fn long_runs(words: &[u32]) -> u32 {
     let mut runs = [0_u32; STEP + PDM_RUN];
     let mut found = 0;

@@ -123,11 +123,7 @@ impl Imager {
     /// [`BackendError::PingShape`] for pings that do not fit the plan; [`BackendError::Cpu`] when the CPU fails too.
     pub fn image(&mut self, pings: &PingSet) -> Result<&Image, BackendError> {
         cpu::check_pings(&self.plan, pings)?;
-        for (index, (report, ping)) in self.image.channels.iter_mut().zip(&pings.pings).enumerate() {
-            if pings.present[index] {
-                report.judge(&self.plan, index, &ping.samples);
-            }
-        }
+        self.cpu.judge(pings, &mut self.image.channels)?;
         if let Some(gpu) = &mut self.gpu {
             match gpu.image(pings, &mut self.image) {
                 Ok(()) => {

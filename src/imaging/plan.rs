@@ -292,7 +292,7 @@ fn checked_step(
         let allowed = format!("1 to {SAMPLES_MAX} samples after demodulation");
         return Err(ParameterError::new("recording.samples", recording.samples, allowed));
     }
-    check_range("imaging.range_min_m", params.range_min_m, 0.01, 1000.0)?;
+    check_range("imaging.range_min_m", params.range_min_m, 0.0, 1000.0)?;
     let heard_m = 0.5 * speed_of_sound_m_s * samples as f64 / recording.demodulated_rate_hz();
     if !(params.range_max_m > params.range_min_m && params.range_max_m <= heard_m) {
         let allowed = format!(

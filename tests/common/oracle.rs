@@ -283,10 +283,12 @@ pub fn masked_energy(masks: &MaskTable, row: usize, plan: &ImagingPlan, image: &
             continue;
         }
         sums[0] += gained;
-        sums[1] += gained * f64::from(masks.sides[entry]) / (range_m * range_m);
+        // At range zero there is no side.
+        let near = if range_m > 0.0 { 1.0 / (range_m * range_m) } else { 0.0 };
+        sums[1] += gained * f64::from(masks.sides[entry]) * near;
         sums[2] += gained * range_m.sqrt();
         sums[3] = f64::max(sums[3], gained);
-        sums[4] += gained / (range_m * range_m);
+        sums[4] += gained * near;
     }
     sums
 }

@@ -1,17 +1,17 @@
 //! Band spectra of the channels to band spectra of the beams (plan, step 4; specification, section 3).
 //!
-//! In: complex `[channel][bin]` of up to three sensors with the same array. Out: complex `[sensor][direction][bin]`, one block of
-//! bins at a time. Lanes are directions; the phase exp(-j 2 pi f p.u / c) goes from bin to bin by one complex product
-//! and is set anew from f64 at every block. Two directions with opposite delays (a planar array, left and right) share all
-//! products. Twin of `shaders/delay_and_sum.wgsl`.
+//! In: `[bin][channel]` of up to three sensors with the same array. Out: the buffers of the inverse transform, `[place][direction]`, one
+//! vector of directions at a time. The phase exp(-j 2 pi f p.u / c) goes from bin to bin by one complex product and is set anew
+//! from f64 at every block of bins. Two directions with opposite delays (a planar array, left and right) share all products. Twin of
+//! `shaders/delay_and_sum.wgsl`.
 
-use super::simd::{Vector, multiply_add};
+use super::aligned::{rows, rows_mut};
+use super::simd::Vector;
 use crate::imaging::plan::SensorPlan;
 use crate::signal::SENSORS_MAX;
-use rustfft::num_complex::Complex;
 
 /// Bins between two phases set from f64: 32 products leave an error below 2e-6.
-pub(super) const BLOCK: usize = 32;
+const BLOCK: usize = 32;
 /// Delays that differ by less are opposite: at 200 kHz a phase of 1e-8.
 const SAME_DELAY_S: f64 = 1e-14;
 
@@ -52,6 +52,17 @@ impl Steering {
     pub(super) fn channel_count(&self) -> usize {
         self.channel_count
     }
+
+    /// The direction and its mirror of each lane of a vector.
+    pub(super) fn lanes(&self, lane_block: usize, lane_count: usize) -> &[(usize, Option<usize>)] {
+        let first = lane_block * lane_count;
+        &self.lanes[first..self.lanes.len().min(first + lane_count)]
+    }
+
+    /// Number of vectors that the lanes fill.
+    pub(super) fn lane_blocks(&self, lane_count: usize) -> usize {
+        self.lanes.len().div_ceil(lane_count)
+    }
 }
 
 /// Pairs every direction with the one whose delays are opposite at every channel, where there is one.
@@ -83,32 +94,42 @@ fn mirror_pairs(delays_s: &[f64], channel_count: usize) -> Vec<(usize, Option<us
     lanes
 }
 
-/// One block of bins of the sensors of one array.
+/// One vector of directions of up to three sensors of one array.
 pub(super) struct BeamTask<'a> {
     pub steering: &'a Steering,
-    /// Absolute index of the first bin of the block.
+    /// Which vector of lanes.
+    pub lane_block: usize,
+    /// Absolute index of the first bin.
     pub first_bin: usize,
-    /// Bins in the block, at most [`BLOCK`].
-    pub bin_count: usize,
-    /// Channels that carry anything, ascending.
-    pub channels: &'a [usize],
-    /// `[bin][channel of channels][sensor]`.
-    pub spectra: &'a [Complex<f32>],
+    /// `[block of channels][sensor]` of `[bin][re, im][channel]`.
+    pub spectra: &'a [&'a [f32]],
     /// 1 to [`SENSORS_MAX`].
     pub sensor_count: usize,
+    /// Where the beams go.
+    pub fold: &'a Fold,
     /// Scratch, of [`scratch_len`] values.
-    pub scratch: &'a mut [f32],
-    /// `[sensor][direction][bin]`, rows of [`BLOCK`].
-    pub beams: &'a mut [Complex<f32>],
+    pub phases: &'a mut [f32],
+    /// `[sensor][direction, mirror][place][im, re][lane]`: parts exchanged, for the inverse transform.
+    pub beams: &'a mut [f32],
 }
 
-/// Values of scratch: phase and step of all channels in one vector of lanes, then the beams of a block before they are sorted by direction.
-pub(super) fn scratch_len(channel_count: usize) -> usize {
-    4 * LANES_MAX * (channel_count + BLOCK * SENSORS_MAX)
+/// Places of the bins in the inverse transform (plan, step 5): more bins than places are added up.
+#[derive(Debug)]
+pub(super) struct Fold {
+    /// Place of each bin.
+    pub places: Vec<u32>,
+    /// Bins from this one on fall on a place that is taken.
+    pub fresh: usize,
+    /// Places without a bin.
+    pub gaps: Vec<u32>,
+    /// Number of places.
+    pub len: usize,
 }
 
-/// Widest vector.
-const LANES_MAX: usize = 16;
+/// Values of scratch: phase and step of all channels in one vector of lanes.
+pub(super) fn scratch_len(channel_count: usize, lanes: usize) -> usize {
+    4 * lanes * channel_count
+}
 
 /// Steers and sums.
 #[inline(always)]
@@ -122,34 +143,25 @@ pub(super) fn delay_and_sum<V: Vector>(task: BeamTask<'_>) {
 
 #[inline(always)]
 fn beams_of<V: Vector, const SENSORS: usize>(task: BeamTask<'_>) {
-    let BeamTask { steering, first_bin, bin_count, channels, spectra, scratch, beams, .. } = task;
-    let direction_count = beams.len() / (SENSORS * BLOCK);
-    let (phases, rest) = scratch.split_at_mut(4 * V::LANES * channels.len());
-    // `[sensor][direction or mirror, re or im][bin][lane]`.
-    let sums = &mut rest[..4 * V::LANES * BLOCK * SENSORS];
-    for (block, lanes) in steering.lanes.chunks(V::LANES).enumerate() {
-        seed::<V>(steering, block, first_bin, channels, phases);
-        for (bin, spectra) in spectra.chunks_exact(channels.len() * SENSORS).take(bin_count).enumerate() {
-            let products = sum_channels::<V, SENSORS>(phases, spectra);
-            for (sensor, [a, b, c, d]) in products.into_iter().enumerate() {
-                for (part, value) in [a.sub(b), c.add(d), a.add(b), c.sub(d)].into_iter().enumerate() {
-                    value.store(&mut sums[((sensor * 4 + part) * BLOCK + bin) * V::LANES..]);
-                }
-            }
+    let BeamTask { steering, lane_block, first_bin, spectra, fold, phases, beams, .. } = task;
+    let phases = rows_mut::<V>(phases).as_chunks_mut::<4>().0;
+    let beams = rows_mut::<V>(beams);
+    for buffer in beams.chunks_exact_mut(2 * fold.len) {
+        for place in &fold.gaps {
+            buffer[2 * *place as usize..][..2].fill(V::ROW_OF_ZEROS);
         }
-        for (lane, (direction, mirror)) in lanes.iter().enumerate() {
-            for sensor in 0..SENSORS {
-                let mut write = |direction: usize, part: usize| {
-                    let row = &mut beams[(sensor * direction_count + direction) * BLOCK..][..BLOCK];
-                    let (re, im) = sums[(sensor * 4 + part) * BLOCK * V::LANES..].split_at(BLOCK * V::LANES);
-                    let (re, im) = (re.chunks_exact(V::LANES), im.chunks_exact(V::LANES));
-                    for ((output, re), im) in row.iter_mut().zip(re).zip(im) {
-                        *output = Complex::new(re[lane], im[lane]);
-                    }
-                };
-                write(*direction, 0);
-                if let Some(mirror) = mirror {
-                    write(*mirror, 2);
+    }
+    for (bin, place) in fold.places.iter().enumerate() {
+        if bin % BLOCK == 0 {
+            seed::<V>(steering, lane_block, first_bin + bin, phases);
+        }
+        let products = sum_channels::<V, SENSORS>(phases, spectra, bin);
+        for (sensor, [a, b, c, d]) in products.into_iter().enumerate() {
+            for (side, parts) in [[c.add(d), a.sub(b)], [c.sub(d), a.add(b)]].into_iter().enumerate() {
+                let first = 2 * ((2 * sensor + side) * fold.len + *place as usize);
+                for (row, part) in beams[first..first + 2].iter_mut().zip(parts) {
+                    let sum = if bin < fold.fresh { part } else { V::load(row).add(part) };
+                    sum.store(row);
                 }
             }
         }
@@ -158,38 +170,48 @@ fn beams_of<V: Vector, const SENSORS: usize>(task: BeamTask<'_>) {
 
 /// The four real sums over the channels that both directions of a lane are made of; the phases go one bin further.
 #[inline(always)]
-fn sum_channels<V: Vector, const SENSORS: usize>(phases: &mut [f32], spectra: &[Complex<f32>]) -> [[V; 4]; SENSORS] {
+fn sum_channels<V: Vector, const SENSORS: usize>(
+    phases: &mut [[V::Row; 4]],
+    spectra: &[&[f32]],
+    bin: usize,
+) -> [[V; 4]; SENSORS] {
     let mut sums = [[V::splat(0.0); 4]; SENSORS];
-    for (phase, values) in phases.chunks_exact_mut(4 * V::LANES).zip(spectra.as_chunks::<SENSORS>().0) {
-        let (re, im) = (V::load(phase), V::load(&phase[V::LANES..]));
-        for sensor in 0..SENSORS {
-            let (value_re, value_im) = (V::splat(values[sensor].re), V::splat(values[sensor].im));
-            sums[sensor][0] = value_re.mul_add(re, sums[sensor][0]);
-            sums[sensor][1] = value_im.mul_add(im, sums[sensor][1]);
-            sums[sensor][2] = value_im.mul_add(re, sums[sensor][2]);
-            sums[sensor][3] = value_re.mul_add(im, sums[sensor][3]);
+    for (phases, spectra) in phases.chunks_mut(V::LANES).zip(spectra.as_chunks::<SENSORS>().0) {
+        let zeros = V::ROW_OF_ZEROS;
+        let mut values = [[&zeros; 2]; SENSORS];
+        for (values, spectrum) in values.iter_mut().zip(spectra) {
+            let pair = rows::<V>(&spectrum[2 * bin * V::LANES..][..2 * V::LANES]);
+            *values = [&pair[0], &pair[1]];
         }
-        let (step_re, step_im) = (V::load(&phase[2 * V::LANES..]), V::load(&phase[3 * V::LANES..]));
-        re.mul(step_re).sub(im.mul(step_im)).store(phase);
-        re.mul_add(step_im, im.mul(step_re)).store(&mut phase[V::LANES..]);
+        for (lane, phase) in phases.iter_mut().enumerate().take(V::LANES) {
+            let [re, im, step_re, step_im] = [&phase[0], &phase[1], &phase[2], &phase[3]].map(V::load);
+            for sensor in 0..SENSORS {
+                let (value_re, value_im) =
+                    (V::splat(values[sensor][0].as_ref()[lane]), V::splat(values[sensor][1].as_ref()[lane]));
+                sums[sensor][0] = value_re.mul_add(re, sums[sensor][0]);
+                sums[sensor][1] = value_im.mul_add(im, sums[sensor][1]);
+                sums[sensor][2] = value_im.mul_add(re, sums[sensor][2]);
+                sums[sensor][3] = value_re.mul_add(im, sums[sensor][3]);
+            }
+            im.neg_mul_add(step_im, re.mul(step_re)).store(&mut phase[0]);
+            re.mul_add(step_im, im.mul(step_re)).store(&mut phase[1]);
+        }
     }
     sums
 }
 
-/// Sets the phases of a vector of lanes for the first bin of a block: `[channel][re, im, step re, step im][lane]`.
+/// Sets the phases of a vector of lanes for a bin: `[channel][re, im, step re, step im]`.
 #[inline(always)]
-fn seed<V: Vector>(steering: &Steering, block: usize, first_bin: usize, channels: &[usize], phases: &mut [f32]) {
-    for (phase, channel) in phases.chunks_exact_mut(4 * V::LANES).zip(channels) {
-        let place = (block * steering.channel_count + channel) * V::LANES;
-        let (values, step) = phase.split_at_mut(2 * V::LANES);
-        let (re, im) = values.split_at_mut(V::LANES);
+fn seed<V: Vector>(steering: &Steering, lane_block: usize, bin: usize, phases: &mut [[V::Row; 4]]) {
+    for (channel, phase) in phases.iter_mut().enumerate() {
+        let place = (lane_block * steering.channel_count + channel) * V::LANES;
         let turns = &steering.turns_per_bin[place..][..V::LANES];
-        for ((re, im), turns) in re.iter_mut().zip(im).zip(turns) {
-            let (sin, cos) = sin_cos_turns::<V>(-turns * first_bin as f64);
-            (*re, *im) = (cos, sin);
+        for (lane, turns) in turns.iter().enumerate() {
+            let (sin, cos) = sin_cos_turns(-turns * bin as f64);
+            (phase[0].as_mut()[lane], phase[1].as_mut()[lane]) = (cos, sin);
         }
-        step[..V::LANES].copy_from_slice(&steering.step[0][place..][..V::LANES]);
-        step[V::LANES..].copy_from_slice(&steering.step[1][place..][..V::LANES]);
+        phase[2].as_mut().copy_from_slice(&steering.step[0][place..][..V::LANES]);
+        phase[3].as_mut().copy_from_slice(&steering.step[1][place..][..V::LANES]);
     }
 }
 
@@ -199,7 +221,7 @@ const ROUNDER: f64 = 6_755_399_441_055_744.0;
 /// Sine and cosine of an angle in turns, good to 2e-7. Whole and half turns are taken out in f64, the rest is a
 /// Taylor series on a quarter turn.
 #[inline(always)]
-fn sin_cos_turns<V: Vector>(turns: f64) -> (f32, f32) {
+fn sin_cos_turns(turns: f64) -> (f32, f32) {
     let half_turns = (2.0 * turns + ROUNDER) - ROUNDER;
     let odd = half_turns - 2.0 * ((0.5 * half_turns + ROUNDER) - ROUNDER);
     let sign = (1.0 - 2.0 * odd.abs()) as f32;
@@ -207,18 +229,17 @@ fn sin_cos_turns<V: Vector>(turns: f64) -> (f32, f32) {
     let square = angle * angle;
     let mut sin = 1.605_904_4e-10_f32;
     for term in [-2.505_210_8e-8, 2.755_731_9e-6, -1.984_127e-4, 8.333_333e-3, -0.166_666_67, 1.0] {
-        sin = multiply_add::<V>(sin, square, term);
+        sin = sin * square + term;
     }
     let mut cos = 2.087_675_7e-9_f32;
     for term in [-2.755_732e-7, 2.480_158_7e-5, -1.388_888_9e-3, 4.166_666_7e-2, -0.5, 1.0] {
-        cos = multiply_add::<V>(cos, square, term);
+        cos = cos * square + term;
     }
     (sign * sin * angle, sign * cos)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::simd::Plain;
     use super::*;
 
     #[test]
@@ -226,7 +247,7 @@ mod tests {
         let mut worst = 0.0_f64;
         for step in -40_000..40_000 {
             let turns = f64::from(step) * 1.000_37e-3;
-            let (sin, cos) = sin_cos_turns::<Plain>(turns);
+            let (sin, cos) = sin_cos_turns(turns);
             let (true_sin, true_cos) = (2.0 * std::f64::consts::PI * (turns - turns.round())).sin_cos();
             worst = worst.max((f64::from(sin) - true_sin).abs()).max((f64::from(cos) - true_cos).abs());
         }

@@ -1,79 +1,70 @@
-//! Band spectra of the beams to the energyscape (plan, step 5; specification, section 3).
+//! Band spectra of the beams to rows of the energyscape (plan, step 5; specification, section 3).
 //!
-//! In: complex `[direction][bin]` in blocks. Out: `[direction][range]`. The bins are folded into M, transformed back, and the
-//! magnitude of the analytic signal is the envelope. Twin of `shaders/envelope.wgsl`.
+//! In: the transform's buffer with the beams' bins, one direction a lane. Out: `[direction][range]`. The magnitude of the analytic
+//! signal is the envelope. Twin of `shaders/envelope.wgsl`.
 
-use super::delay_and_sum::BLOCK;
-use super::simd::{Vector, multiply_add};
-use rustfft::num_complex::Complex;
+use super::aligned::rows_mut;
+use super::shared_image::RowGuard;
+use super::simd::Vector;
+use super::transform::{self, Transform};
 
-/// Adds one block of a beam's bins to its places in the transform: `first_bin` is the block's first absolute index.
-pub(super) fn fold(first_bin: usize, bins: &[Complex<f32>], transform: &mut [Complex<f32>]) {
-    let length = transform.len();
-    let mut place = first_bin % length;
-    let mut rest = bins;
-    while !rest.is_empty() {
-        let (now, later) = rest.split_at(rest.len().min(length - place));
-        for (sum, bin) in transform[place..].iter_mut().zip(now) {
-            *sum += bin;
-        }
-        (place, rest) = (0, later);
-    }
-}
-
-/// Number of blocks that `bin_count` bins make.
-pub(super) fn block_count(bin_count: usize) -> usize {
-    bin_count.div_ceil(BLOCK)
-}
-
-/// The envelope of one direction.
-pub(super) struct EnvelopeTask<'a> {
-    /// The analytic signal, M values.
-    pub signal: &'a [Complex<f32>],
+/// The envelopes of as many directions as a vector has lanes.
+pub(super) struct EnvelopeTask<'a, 'b> {
+    pub transform: &'a Transform,
     /// Smoothing FIR; empty for none.
     pub taps: &'a [f32],
-    /// Scratch of M values for the smoothing.
-    pub magnitudes: &'a mut [f32],
-    /// `[range]`.
-    pub output: &'a mut [f32],
+    /// The transform's buffer: bins with real and imaginary parts exchanged, which makes the transform an inverse one. Destroyed.
+    pub values: &'a mut [f32],
+    /// Scratch of lanes times lanes values.
+    pub square: &'a mut [f32],
+    /// The lanes' rows of the image; none for a lane without a direction.
+    pub rows: &'a mut [Option<RowGuard<'b>>],
+    /// Ranges of a row.
+    pub range_count: usize,
 }
 
-/// Magnitude, smoothed if wanted. Outputs beyond either end are those of the transform's own circle: earlier and later times.
+/// Transforms and takes the magnitude, smoothed if wanted. Outputs beyond either end are those of the transform's own circle: earlier
+/// and later times.
 #[inline(always)]
-pub(super) fn magnitude<V: Vector>(task: EnvelopeTask<'_>) {
-    let EnvelopeTask { signal, taps, magnitudes, output } = task;
-    if taps.is_empty() {
-        magnitudes_of::<V>(signal, output);
-        return;
+pub(super) fn envelope<V: Vector>(task: EnvelopeTask<'_, '_>) {
+    let EnvelopeTask { transform, taps, values, square, rows, range_count } = task;
+    transform::forward::<V>(transform, values);
+    let values = rows_mut::<V>(values);
+    let length = values.len() / 2;
+    // Magnitudes replace the values from the front: no row is read after it was written.
+    for index in 0..if taps.is_empty() { range_count } else { length } {
+        let (re, im) = (V::load(&values[2 * index]), V::load(&values[2 * index + 1]));
+        re.mul_add(re, im.mul(im)).sqrt().store(&mut values[index]);
     }
-    magnitudes_of::<V>(signal, magnitudes);
+    let magnitudes = &values[..length];
+    let square = &mut rows_mut::<V>(square)[..V::LANES];
+    for start in (0..range_count).step_by(V::LANES) {
+        let count = V::LANES.min(range_count - start);
+        for (index, row) in (start..start + count).zip(square.iter_mut()) {
+            *row = if taps.is_empty() { magnitudes[index] } else { smoothed::<V>(magnitudes, taps, index) };
+        }
+        V::transpose(square);
+        for (row, lane) in rows.iter_mut().zip(square.iter()) {
+            let Some(row) = row else { continue };
+            let output = &mut row[start..start + count];
+            if count == V::LANES {
+                rows_mut::<V>(output)[0] = *lane;
+            } else {
+                output.copy_from_slice(&lane.as_ref()[..count]);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn smoothed<V: Vector>(magnitudes: &[V::Row], taps: &[f32], index: usize) -> V::Row {
     let length = magnitudes.len();
-    for (index, output) in output.iter_mut().enumerate() {
-        let start = index + length - taps.len() / 2;
-        *output = taps
-            .iter()
-            .enumerate()
-            .fold(0.0, |sum, (offset, tap)| multiply_add::<V>(*tap, magnitudes[(start + offset) % length], sum));
+    let start = index + length - taps.len() / 2;
+    let mut sum = V::splat(0.0);
+    for (offset, tap) in taps.iter().enumerate() {
+        sum = V::load(&magnitudes[(start + offset) % length]).mul_add(V::splat(*tap), sum);
     }
-}
-
-#[inline(always)]
-fn magnitudes_of<V: Vector>(signal: &[Complex<f32>], output: &mut [f32]) {
-    for (output, value) in output.iter_mut().zip(signal) {
-        *output = multiply_add::<V>(value.re, value.re, value.im * value.im).sqrt();
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn folding_wraps_as_often_as_needed() {
-        let bins: Vec<Complex<f32>> = (0..7).map(|k| Complex::new(k as f32, 1.0)).collect();
-        let mut transform = [Complex::default(); 3];
-        fold(8, &bins, &mut transform);
-        // Bins 8 to 14 go to 2, 0, 1, 2, 0, 1, 2.
-        assert_eq!(transform, [Complex::new(5.0, 2.0), Complex::new(7.0, 2.0), Complex::new(9.0, 3.0)]);
-    }
+    let mut row = magnitudes[index];
+    sum.store(&mut row);
+    row
 }

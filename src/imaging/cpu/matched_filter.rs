@@ -1,136 +1,134 @@
-//! PCM of a channel to its matched-filtered band spectrum (plan, steps 1 to 3; specification, section 3).
+//! PCM of a block of channels to their matched-filtered band spectra (plan, steps 1 to 3; specification, section 3).
 //!
-//! In: `[sample]`, full scale 1. Out: complex `[bin]`, times the channel's gain. A complex band-pass keeps the band and
-//! decimates, a short transform follows, the reference divides the band-pass out again. Twin of `shaders/matched_filter.wgsl`.
+//! In: `[sample][lane]`, lanes being channels, full scale 1. Out: `[bin][re, im][lane]`, times the channels' gains. A complex band-pass
+//! keeps the band and decimates, a short transform follows, the reference divides the band-pass out again. Twin of
+//! `shaders/matched_filter.wgsl`.
 
+use super::aligned::{rows, rows_mut};
 use super::simd::Vector;
+use super::transform::{self, Transform};
 use crate::imaging::plan::{ImagingPlan, PHAT_POWER_MIN};
-use rustfft::num_complex::Complex;
 
-/// The band-pass, laid out for vectors.
-#[derive(Debug)]
-pub(super) struct BandPass {
-    /// Real and imaginary parts, padded with zeros to whole vectors.
-    taps: [Vec<f32>; 2],
-    /// Taps before the middle one.
-    half: usize,
-    decimation: usize,
-    /// N, after which indices wrap around.
-    span: usize,
-    sample_count: usize,
-}
-
-impl BandPass {
-    /// Copies the taps of `plan`, padded to whole vectors of 16.
-    pub(super) fn new(plan: &ImagingPlan) -> Self {
-        let padded = plan.band_taps.len().next_multiple_of(16);
-        let part = |index: usize| {
-            plan.band_taps.iter().map(|tap| tap[index]).chain(std::iter::repeat(0.0)).take(padded).collect()
-        };
-        Self {
-            taps: [part(0), part(1)],
-            half: plan.band_taps.len() / 2,
-            decimation: plan.band_decimation,
-            span: plan.forward_len * plan.band_decimation,
-            sample_count: plan.sample_count,
-        }
-    }
-
-    /// Taps with padding: samples that one output reads.
-    pub(super) fn window_len(&self) -> usize {
-        self.taps[0].len()
-    }
-
-    /// Outputs `first..end` whose window lies inside the samples.
-    fn inside(&self, output_count: usize) -> std::ops::Range<usize> {
-        let first = self.half.div_ceil(self.decimation);
-        let last_start = (self.sample_count + self.half).checked_sub(self.window_len());
-        let end = last_start.map_or(0, |start| start / self.decimation + 1).min(output_count);
-        first.min(end)..end
-    }
-}
-
-/// One channel through the band-pass.
+/// A stretch of outputs of the band-pass.
 pub(super) struct BandPassTask<'a> {
-    pub filter: &'a BandPass,
-    /// `[sample]`.
-    pub samples: &'a [f32],
-    /// Scratch of [`BandPass::window_len`] values.
-    pub window: &'a mut [f32],
-    /// `[output]`, N1 of them.
-    pub output: &'a mut [Complex<f32>],
+    /// The plan's taps.
+    pub taps: &'a [[f32; 2]],
+    /// Samples between two outputs.
+    pub step: usize,
+    /// `[sample][lane]`: all that the outputs reach.
+    pub tile: &'a [f32],
+    /// `[output][re, im][lane]`.
+    pub output: &'a mut [f32],
 }
 
-/// Filters and decimates.
+/// Filters and decimates. Every output is summed in the same order, however they are grouped.
 #[inline(always)]
 pub(super) fn band_pass<V: Vector>(task: BandPassTask<'_>) {
-    let BandPassTask { filter, samples, window, output } = task;
-    let inside = filter.inside(output.len());
-    let (length, step) = (filter.window_len(), filter.decimation);
-    let mut index = inside.start;
-    while index + 4 <= inside.end {
-        let start = index * step - filter.half;
-        // Loops rather than closures: a closure that is not inlined is not compiled for the instruction set.
-        let mut rows = [&samples[..0]; 4];
-        for (row, values) in rows.iter_mut().enumerate() {
-            *values = &samples[start + row * step..][..length];
+    let BandPassTask { taps, step, tile, output } = task;
+    let (tile, output) = (rows::<V>(tile), rows_mut::<V>(output));
+    let count = output.len() / 2;
+    // As many outputs at once as leave their sums in registers.
+    let mut index = 0;
+    if V::LANES >= 16 {
+        while index + 8 <= count {
+            outputs::<V, 8>(taps, step, &tile[index * step..], &mut output[2 * index..][..16]);
+            index += 8;
         }
-        let sums = dot_rows::<V, 4>(&filter.taps, rows);
-        output[index..index + 4].copy_from_slice(&sums);
+    }
+    while index + 4 <= count {
+        outputs::<V, 4>(taps, step, &tile[index * step..], &mut output[2 * index..][..8]);
         index += 4;
     }
-    for index in (0..inside.start).chain(index..output.len()) {
-        for (offset, value) in window.iter_mut().enumerate() {
-            let place = (index * step + offset + filter.span - filter.half) % filter.span;
-            *value = samples.get(place).copied().unwrap_or(0.0);
-        }
-        let [sum] = dot_rows::<V, 1>(&filter.taps, [&*window]);
-        output[index] = sum;
+    while index < count {
+        outputs::<V, 1>(taps, step, &tile[index * step..], &mut output[2 * index..][..2]);
+        index += 1;
     }
 }
 
-/// Products of the complex taps with `ROWS` windows. Every output is summed in the same order, however it is grouped.
+/// `OUTPUTS` outputs, `step` samples apart.
 #[inline(always)]
-fn dot_rows<V: Vector, const ROWS: usize>(taps: &[Vec<f32>; 2], rows: [&[f32]; ROWS]) -> [Complex<f32>; ROWS] {
-    let mut sums = [[V::splat(0.0); 2]; ROWS];
-    let (re, im) = (taps[0].chunks_exact(V::LANES), taps[1].chunks_exact(V::LANES));
-    for (chunk, (re, im)) in re.zip(im).enumerate() {
-        let (re, im) = (V::load(re), V::load(im));
-        for row in 0..ROWS {
-            let values = V::load(&rows[row][chunk * V::LANES..]);
-            sums[row][0] = re.mul_add(values, sums[row][0]);
-            sums[row][1] = im.mul_add(values, sums[row][1]);
+fn outputs<V: Vector, const OUTPUTS: usize>(taps: &[[f32; 2]], step: usize, tile: &[V::Row], output: &mut [V::Row]) {
+    // Loops rather than closures: a closure that is not inlined is not compiled for the instruction set.
+    let mut samples = [&tile[..0]; OUTPUTS];
+    for (place, samples) in samples.iter_mut().enumerate() {
+        *samples = &tile[place * step..][..taps.len()];
+    }
+    let mut sums = [[V::splat(0.0); 2]; OUTPUTS];
+    for (index, tap) in taps.iter().enumerate() {
+        let (re, im) = (V::splat(tap[0]), V::splat(tap[1]));
+        for place in 0..OUTPUTS {
+            let value = V::load(&samples[place][index]);
+            sums[place][0] = value.mul_add(re, sums[place][0]);
+            sums[place][1] = value.mul_add(im, sums[place][1]);
         }
     }
-    let mut outputs = [Complex::default(); ROWS];
-    for row in 0..ROWS {
-        outputs[row] = Complex::new(sums[row][0].sum(), sums[row][1].sum());
+    for (sum, rows) in sums.iter().zip(output.as_chunks_mut::<2>().0) {
+        sum[0].store(&mut rows[0]);
+        sum[1].store(&mut rows[1]);
     }
-    outputs
 }
 
-/// Takes the band out of the transform and multiplies it with reference and gain; a gain of zero gives zeros whatever the
-/// transform holds.
-pub(super) fn apply_reference(
-    plan: &ImagingPlan,
-    gain: f32,
-    transform: &[Complex<f32>],
-    spectrum: &mut [Complex<f32>],
-) {
-    if gain == 0.0 {
-        spectrum.fill(Complex::default());
-        return;
-    }
-    let first = plan.first_bin % plan.forward_len;
-    let wrapped = transform[first..].iter().chain(&transform[..first]);
-    for ((output, value), reference) in spectrum.iter_mut().zip(wrapped).zip(&plan.reference) {
-        let value = if plan.phat { unit_magnitude(*value) } else { *value };
-        *output = value * Complex::new(reference[0], reference[1]) * gain;
+/// Outputs of the band-pass on their way into the transform, or, when they are all there, the transform.
+pub(super) enum SpectrumTask<'a> {
+    /// Puts a stretch of outputs where the transform wants them.
+    Place {
+        transform: &'a Transform,
+        /// Index of the first output.
+        first: usize,
+        /// `[output][re, im][lane]`.
+        outputs: &'a [f32],
+        /// The transform's buffer.
+        values: &'a mut [f32],
+    },
+    /// Transforms, takes the band out and multiplies it with reference and gains.
+    Apply {
+        transform: &'a Transform,
+        plan: &'a ImagingPlan,
+        /// Gain of each lane; a gain of zero gives zeros whatever the channel holds.
+        gains: &'a [f32],
+        values: &'a mut [f32],
+        /// `[bin][re, im][lane]`.
+        spectrum: &'a mut [f32],
+    },
+}
+
+/// Does one [`SpectrumTask`].
+#[inline(always)]
+pub(super) fn spectrum<V: Vector>(task: SpectrumTask<'_>) {
+    match task {
+        SpectrumTask::Place { transform, first, outputs, values } => {
+            let values = rows_mut::<V>(values);
+            for (index, output) in rows::<V>(outputs).as_chunks::<2>().0.iter().enumerate() {
+                let row = 2 * transform.place(first + index);
+                (values[row], values[row + 1]) = (output[0], output[1]);
+            }
+        }
+        SpectrumTask::Apply { transform, plan, gains, values, spectrum } => {
+            transform::forward::<V>(transform, values);
+            let (values, spectrum) = (rows::<V>(values), rows_mut::<V>(spectrum));
+            let gains = V::load(&rows::<V>(gains)[0]);
+            let zero = V::splat(0.0);
+            let mut index = plan.first_bin % plan.forward_len;
+            for (output, reference) in spectrum.as_chunks_mut::<2>().0.iter_mut().zip(&plan.reference) {
+                let (mut re, mut im) = (V::load(&values[2 * index]), V::load(&values[2 * index + 1]));
+                if plan.phat {
+                    (re, im) = unit_magnitude(re, im);
+                }
+                let [cos, sin] = reference.map(V::splat);
+                let product = [im.neg_mul_add(sin, re.mul(cos)), im.mul_add(cos, re.mul(sin))];
+                for (output, part) in output.iter_mut().zip(product) {
+                    zero.where_less(gains, part.mul(gains), zero).store(output);
+                }
+                index = if index + 1 == plan.forward_len { 0 } else { index + 1 };
+            }
+        }
     }
 }
 
 /// PHAT: the phase alone; silence has none.
-fn unit_magnitude(value: Complex<f32>) -> Complex<f32> {
-    let power = value.norm_sqr();
-    if power > PHAT_POWER_MIN { value / power.sqrt() } else { Complex::default() }
+#[inline(always)]
+fn unit_magnitude<V: Vector>(re: V, im: V) -> (V, V) {
+    let power = re.mul_add(re, im.mul(im));
+    let (least, zero, magnitude) = (V::splat(PHAT_POWER_MIN), V::splat(0.0), power.sqrt());
+    (least.where_less(power, re.div(magnitude), zero), least.where_less(power, im.div(magnitude), zero))
 }

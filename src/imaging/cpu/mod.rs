@@ -1,28 +1,38 @@
 //! CPU twin: the five stages in order, on a few threads, with the widest vector instructions the processor has.
 //!
-//! In: raw pings and the channels' gains. Out: energyscapes and masked sums, bit-identical for any number of threads. Scratch
-//! is owned by [`work`], the order of the stages is here; nothing is allocated after [`CpuBackend::open`]. Never judges
-//! channels and never chooses between backends.
+//! In: raw pings and the channels' gains. Out: energyscapes and masked sums, bit-identical for any number of threads, and findings on
+//! channels. Every stage computes one vector of channels or of directions at a time, so that no value changes lanes but where samples
+//! come in and images go out. Buffers are owned by [`work`], the order of the stages is here; nothing is allocated after
+//! [`CpuBackend::open`]. Never says what a finding means and never chooses between backends.
 
+mod aligned;
 mod delay_and_sum;
 mod demodulate;
 mod envelope;
+mod inspect;
+mod judge;
 mod masked_energy;
 mod matched_filter;
 mod pool;
+mod shared_image;
 mod shares;
 mod simd;
+mod tile;
+mod transform;
 mod work;
 
 pub use simd::InstructionSet;
 
 use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput};
+use super::channels::{ChannelReport, WordFindings};
 use super::plan::ImagingPlan;
-use crate::signal::{MaskTable, PingSet, SENSORS_MAX, Samples};
+use crate::signal::{MaskTable, PingSet, SENSORS_MAX, SampleFormat};
 use pool::Pool;
+use shares::Phase;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Instant;
-use work::{Phase, Work};
+use work::Work;
 
 /// Most threads that a ping is cut into; more would wait for each other.
 const THREADS_MAX: usize = 64;
@@ -76,6 +86,40 @@ impl CpuBackend {
         Ok(Self { work, pool, report, stage_times_ns: [0; 5] })
     }
 
+    /// Judges the channels of every ping present, as [`ChannelReport::judge`] does, on all threads.
+    ///
+    /// # Errors
+    /// If the pings do not fit the plan, or a thread failed.
+    pub(super) fn judge(&mut self, pings: &PingSet, reports: &mut [ChannelReport]) -> Result<(), BackendError> {
+        check_pings(&self.work.plan, pings)?;
+        self.work.lend(pings.present, pings.pings.iter().map(|ping| &ping.samples));
+        let judged = self.phase(Phase::Judge);
+        self.work.give_back();
+        judged?;
+        for (sensor, report) in reports.iter_mut().enumerate().filter(|(sensor, _)| pings.present[*sensor]) {
+            let pieces = || self.work.judged.iter().enumerate().filter(move |(_, piece)| piece.sensor == sensor);
+            if self.work.plan.format == SampleFormat::Pdm {
+                let all = pieces().map(|(index, _)| *work::locked(&self.work.word_findings[index]));
+                all.fold(WordFindings::NONE, WordFindings::and).tell(&mut report.findings);
+            } else {
+                for (finding, (index, _)) in report.findings.iter_mut().zip(pieces()) {
+                    *finding = *work::locked(&self.work.findings[index]);
+                }
+            }
+            report.set_gains(&self.work.plan.sensors[sensor]);
+        }
+        Ok(())
+    }
+
+    fn phase(&self, phase: Phase) -> Result<(), BackendError> {
+        self.work.rewind();
+        if self.pool.run(phase as usize, || self.work.share(phase, 0)) {
+            Ok(())
+        } else {
+            Err(BackendError::Cpu("a thread of the CPU backend failed".to_owned()))
+        }
+    }
+
     /// Runs the stages up to `last` for the `active` sensors; the results stay in the buffers of [`Work`].
     fn run(
         &mut self,
@@ -84,39 +128,45 @@ impl CpuBackend {
         active: [bool; SENSORS_MAX],
         last: Stage,
     ) -> Result<(), BackendError> {
-        self.work.begin(active, image.channels.iter().map(|report| &report.gains[..]));
-        let lend = |sensor: usize| &*pings.pings[sensor].samples;
+        self.work.lend(active, pings.pings.iter().map(|ping| &ping.samples));
+        self.work.set_gains(image.channels.iter().map(|report| &report.gains[..]));
+        let done = self.stages(last);
+        self.work.give_back();
+        done
+    }
+
+    fn stages(&mut self, last: Stage) -> Result<(), BackendError> {
         self.stage_times_ns = [0; 5];
-        for stage in Stage::ALL.into_iter().filter(|stage| *stage <= last) {
-            let start = Instant::now();
-            let (work, pool) = (&self.work, &self.pool);
-            let phase = |phase: Phase| {
-                work.rewind();
-                if pool.run(phase as usize, || work.run_own(phase, &lend)) {
-                    Ok(())
-                } else {
-                    Err(BackendError::Cpu("a thread of the CPU backend failed".to_owned()))
-                }
-            };
-            match stage {
-                Stage::Demodulate => {
-                    work.copy_raw(&lend);
-                    if work.plan.format == crate::signal::SampleFormat::Pdm {
-                        phase(Phase::Demodulate)?;
-                    }
-                }
-                Stage::MatchedFilter => phase(Phase::MatchedFilter)?,
-                Stage::DelayAndSum => phase(Phase::DelayAndSum)?,
-                Stage::Envelope => {
-                    phase(Phase::Envelope)?;
-                    work.join_images();
-                }
-                Stage::MaskedEnergy => {
-                    phase(Phase::Gain)?;
-                    phase(Phase::Rows)?;
-                }
+        let mut start = Instant::now();
+        let mut lap_ns = || {
+            let now = Instant::now();
+            (now - std::mem::replace(&mut start, now)).as_nanos() as u64
+        };
+        if self.work.plan.format == SampleFormat::Pdm {
+            self.phase(Phase::Demodulate)?;
+            self.stage_times_ns[Stage::Demodulate as usize] = lap_ns();
+        }
+        if last >= Stage::MatchedFilter {
+            self.phase(Phase::BandPass)?;
+            self.phase(Phase::Spectrum)?;
+            self.stage_times_ns[Stage::MatchedFilter as usize] = lap_ns();
+        }
+        if last >= Stage::Envelope {
+            self.work.beam_times_ns.iter().for_each(|time| time.store(0, Ordering::Relaxed));
+            self.phase(Phase::Beams)?;
+            if !self.work.finish_images() {
+                return Err(BackendError::Cpu("two threads wrote the same row of an image".to_owned()));
             }
-            self.stage_times_ns[stage as usize] = start.elapsed().as_nanos() as u64;
+            // Two stages in one phase: its time in the proportion of their shares.
+            let [beams, envelopes] = [0, 1].map(|stage| self.work.beam_times_ns[stage].load(Ordering::Relaxed));
+            let phase_ns = lap_ns();
+            let beams_ns = (phase_ns as f64 * beams as f64 / (beams + envelopes).max(1) as f64) as u64;
+            self.stage_times_ns[Stage::DelayAndSum as usize] = beams_ns;
+            self.stage_times_ns[Stage::Envelope as usize] = phase_ns - beams_ns;
+        }
+        if last >= Stage::MaskedEnergy {
+            self.phase(Phase::Rows)?;
+            self.stage_times_ns[Stage::MaskedEnergy as usize] = lap_ns();
         }
         Ok(())
     }
@@ -202,9 +252,11 @@ impl Backend for CpuBackend {
         let mut active = [false; SENSORS_MAX];
         active[sensor_index] = pings.present[sensor_index];
         self.run(pings, image, active, stage)?;
-        let lend = |sensor: usize| -> &Samples { &pings.pings[sensor].samples };
         Ok(match stage {
-            Stage::Demodulate => StageOutput::Real(self.work.demodulated_of(sensor_index, &lend)),
+            Stage::Demodulate => {
+                let gains = &image.channels[sensor_index].gains;
+                StageOutput::Real(self.work.demodulated_of(sensor_index, gains, &pings.pings[sensor_index].samples))
+            }
             Stage::MatchedFilter => StageOutput::Complex(self.work.spectra_of(sensor_index)),
             Stage::DelayAndSum => StageOutput::Complex(self.work.beams_of(sensor_index)),
             Stage::Envelope => StageOutput::Real(work::reading(&self.work.images[sensor_index]).clone()),

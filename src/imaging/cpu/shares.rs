@@ -1,327 +1,307 @@
-//! What one thread does in each phase: which pieces it takes, from which buffer to which.
+//! What a thread does in each phase: which pieces it takes, from which buffer to which.
 //!
-//! In and out: the buffers of [`Work`]. The pieces of the two phases that read raw samples are dealt out by number, so
-//! that only the other threads' pieces have to be copied; the later ones are taken as they come. Either way each piece is
-//! computed alone, and the result does not depend on who computes it.
+//! In and out: the buffers of [`Work`]. Pieces are taken as they come; each is computed alone, so the result does not depend on who
+//! computes it. The arithmetic is in the stages' files.
 
-use super::delay_and_sum::{BLOCK, BeamTask};
-use super::demodulate::{self, DemodulateTask};
-use super::envelope::{self, EnvelopeTask};
-use super::masked_energy::{self, GainTask};
-use super::matched_filter::{self, BandPassTask};
-use super::work::{GroupJob, IMAGE_PIECE, Phase, Scratch, Work, locked, reading, writing};
+use super::delay_and_sum::BeamTask;
+use super::demodulate::DemodulateTask;
+use super::envelope::EnvelopeTask;
+use super::judge::JudgeTask;
+use super::masked_energy::RowTask;
+use super::matched_filter::{BandPassTask, SpectrumTask};
+use super::tile::{Pcm, TileTask};
+use super::work::{BLOCKS_MAX, Group, Job, Piece, Scratch, Work, locked, reading, writing};
 use super::{pool, simd};
-use crate::signal::{RowSums, SampleFormat, Samples};
-use rustfft::num_complex::Complex;
+use crate::imaging::channels;
+use crate::signal::{RowSums, SENSORS_MAX, Samples};
 use std::ops::Range;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
 
-/// Lends the raw samples of a sensor.
-pub(super) type Lend<'a> = &'a dyn Fn(usize) -> &'a Samples;
-
-/// Part of some samples.
-enum Part<'a> {
-    Pdm(&'a [u32]),
-    PcmI16(&'a [i16]),
-    PcmF32(&'a [f32]),
+/// The phases of a ping, in order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(usize)]
+pub(super) enum Phase {
+    Judge,
+    Demodulate,
+    BandPass,
+    Spectrum,
+    Beams,
+    Rows,
 }
 
-fn part(samples: &Samples, range: Range<usize>) -> Part<'_> {
-    match samples {
-        Samples::Pdm(words) => Part::Pdm(&words[range]),
-        Samples::PcmI16(values) => Part::PcmI16(&values[range]),
-        Samples::PcmF32(values) => Part::PcmF32(&values[range]),
-    }
+impl Phase {
+    const ALL: [Phase; 6] =
+        [Phase::Judge, Phase::Demodulate, Phase::BandPass, Phase::Spectrum, Phase::Beams, Phase::Rows];
 }
+
+/// Most lanes of a vector.
+const LANES_MAX: usize = 16;
 
 impl Work {
-    /// Copies the pieces that other threads will work on.
-    pub(super) fn copy_raw(&self, lend: Lend<'_>) {
-        let active = reading(&self.job).active;
-        let foreign = |index: &usize| !index.is_multiple_of(self.threads) && active[self.raw_pieces[*index].sensor];
-        for index in (0..self.raw_pieces.len()).filter(foreign) {
-            let piece = &self.raw_pieces[index];
-            match (part(lend(piece.sensor), piece.values.clone()), &mut *locked(&self.copies[index])) {
-                (Part::Pdm(from), Samples::Pdm(to)) => to.copy_from_slice(from),
-                (Part::PcmI16(from), Samples::PcmI16(to)) => to.copy_from_slice(from),
-                (Part::PcmF32(from), Samples::PcmF32(to)) => to.copy_from_slice(from),
-                _ => {}
-            }
-        }
-    }
-
-    /// The caller's share of a phase.
-    pub(super) fn run_own(&self, phase: Phase, lend: Lend<'_>) {
-        self.share(phase, 0, Some(lend));
-    }
-
-    fn share(&self, phase: Phase, thread: usize, lend: Option<Lend<'_>>) {
+    /// A thread's share of a phase.
+    pub(super) fn share(&self, phase: Phase, thread: usize) {
+        let job = reading(&self.job);
         let scratch = &mut *locked(&self.scratch[thread]);
         match phase {
-            Phase::Demodulate => self.demodulate_share(thread, lend),
-            Phase::MatchedFilter => self.matched_filter_share(thread, lend, scratch),
-            Phase::DelayAndSum => self.delay_and_sum_share(scratch),
-            Phase::Envelope => self.envelope_share(scratch),
-            Phase::Gain => self.gain_share(),
-            Phase::Rows => self.rows_share(),
+            Phase::Judge => self.take_tasks(self.judged.len(), |index| self.judge(&job, index)),
+            Phase::Demodulate => self.take_tasks(self.demodulated.len(), |index| self.demodulate(&job, index, scratch)),
+            Phase::BandPass => self.take_tasks(self.filtered.len(), |index| self.band_pass(&job, index, scratch)),
+            Phase::Spectrum => self.take_tasks(self.transformed.len(), |index| self.spectrum(&job, index, scratch)),
+            Phase::Beams => self.beams_share(&job, scratch),
+            Phase::Rows => self.take_tasks(self.row_pieces.len(), |index| self.sum_rows(&job, index, scratch)),
         }
     }
 
-    /// Calls `task` with a raw piece: the caller's own samples, or the copy made for this thread.
-    fn with_raw(&self, index: usize, lend: Option<Lend<'_>>, task: impl FnOnce(Part<'_>)) {
-        let piece = &self.raw_pieces[index];
-        match lend {
-            Some(lend) => task(part(lend(piece.sensor), piece.values.clone())),
-            None => task(part(&locked(&self.copies[index]), 0..piece.values.len())),
+    fn judge(&self, job: &Job, index: usize) {
+        let Piece { sensor, block: channel, range } = &self.judged[index];
+        let Some(samples) = &job.samples[*sensor] else { return };
+        let clip_from = channels::clip_from(&self.plan, *sensor);
+        let row = channel * self.plan.raw_count..(channel + 1) * self.plan.raw_count;
+        match &**samples {
+            Samples::PcmF32(values) => {
+                let (row, found) = (&values[row], &mut *locked(&self.findings[index]));
+                simd::judge(self.set, JudgeTask::F32 { row, clip_from, found });
+            }
+            Samples::PcmI16(values) => {
+                let (row, found) = (&values[row], &mut *locked(&self.findings[index]));
+                simd::judge(self.set, JudgeTask::I16 { row, clip_from, found });
+            }
+            Samples::Pdm(words) => {
+                let (words, found) = (&words[range.clone()], &mut *locked(&self.word_findings[index]));
+                let clip_from = clip_from.saturating_sub(range.start);
+                simd::judge(self.set, JudgeTask::Pdm { words, clip_from, found });
+            }
         }
     }
 
-    fn demodulate_share(&self, thread: usize, lend: Option<Lend<'_>>) {
-        let active = reading(&self.job).active;
-        if self.plan.format != SampleFormat::Pdm {
+    fn demodulate(&self, job: &Job, index: usize, scratch: &mut Scratch) {
+        let piece = &self.demodulated[index];
+        let Some(Samples::Pdm(words)) = job.samples[piece.sensor].as_deref() else { return };
+        let task = DemodulateTask {
+            filter: &self.bit_filter,
+            words,
+            first_sample: piece.range.start,
+            sample_count: piece.range.len(),
+            windows: &mut scratch.windows,
+            output: &mut writing(&self.pcm[index]),
+        };
+        simd::demodulate(self.set, task);
+    }
+
+    fn band_pass(&self, job: &Job, index: usize, scratch: &mut Scratch) {
+        let piece = &self.filtered[index];
+        let Some(samples) = job.samples[piece.sensor].as_deref() else { return };
+        let (taps, step) = (&self.plan.band_taps, self.plan.band_decimation);
+        let span = self.plan.forward_len * step;
+        let count = (piece.range.len() - 1) * step + taps.len();
+        let tile = &mut scratch.tile[..count * self.lanes];
+        // The ping lies on a circle of `span` samples, of which those behind its end are zero.
+        let start = (piece.range.start * step + span - taps.len() / 2) % span;
+        let mut done = 0;
+        while done < count {
+            let place = (start + done) % span;
+            let existing = self.plan.sample_count.saturating_sub(place);
+            let stretch = (count - done).min(if existing > 0 { existing } else { span - place });
+            let part = &mut tile[done * self.lanes..(done + stretch) * self.lanes];
+            if existing > 0 {
+                self.fill_tile(samples, piece, place, part);
+            } else {
+                part.fill(0.0);
+            }
+            done += stretch;
+        }
+        simd::band_pass(self.set, BandPassTask { taps, step, tile, output: &mut writing(&self.band[index]) });
+    }
+
+    /// Samples of a block of channels from `first` on, side by side.
+    fn fill_tile(&self, samples: &Samples, piece: &Piece, first: usize, tile: &mut [f32]) {
+        let pcm = match samples {
+            Samples::PcmF32(values) => Pcm::F32(values),
+            Samples::PcmI16(values) => Pcm::I16(values),
+            Samples::Pdm(_) => return self.fill_demodulated(piece, first, tile),
+        };
+        let task = TileTask {
+            pcm,
+            sample_count: self.plan.raw_count,
+            first_channel: piece.block * self.lanes,
+            channel_count: self.plan.sensors[piece.sensor].channel_count,
+            first,
+            tile,
+        };
+        simd::fill(self.set, task);
+    }
+
+    fn fill_demodulated(&self, piece: &Piece, first: usize, tile: &mut [f32]) {
+        let end = first + tile.len() / self.lanes;
+        for (from, pcm) in self.demodulated.iter().zip(&self.pcm).filter(|(from, _)| from.sensor == piece.sensor) {
+            let shared = from.range.start.max(first)..from.range.end.min(end);
+            if !shared.is_empty() {
+                let block = piece.block * self.bit_filter.padded(from.range.len());
+                let rows = |first: usize| (first * self.lanes)..(first + shared.len()) * self.lanes;
+                tile[rows(shared.start - first)]
+                    .copy_from_slice(&reading(pcm)[rows(block + shared.start - from.range.start)]);
+            }
+        }
+    }
+
+    fn spectrum(&self, job: &Job, index: usize, scratch: &mut Scratch) {
+        let piece = &self.transformed[index];
+        if !job.active[piece.sensor] {
             return;
         }
-        for index in (thread..self.raw_pieces.len()).step_by(self.threads) {
-            let piece = &self.raw_pieces[index];
-            if !active[piece.sensor] {
-                continue;
-            }
-            let channel_count = self.plan.sensors[piece.sensor].channel_count;
-            let output = &mut *writing(&self.demodulated[index]);
-            self.with_raw(index, lend, |raw| {
-                let Part::Pdm(words) = raw else { return };
-                let task = DemodulateTask {
-                    taps: &self.plan.demodulation_taps,
-                    decimation: self.plan.decimation,
-                    words,
-                    first_word: piece.values.start,
-                    first_sample: piece.samples.start,
-                    sample_count: piece.samples.len(),
-                    channel_count,
-                    output: &mut output[..channel_count * piece.samples.len()],
-                };
-                simd::demodulate(self.set, task);
-            });
+        let transform = &self.forward;
+        let values = &mut scratch.transforms[..transform.buffer_len(self.lanes)];
+        let of_block = |from: &Piece| from.sensor == piece.sensor && from.block == piece.block;
+        for (from, band) in self.filtered.iter().zip(&self.band).filter(|(from, _)| of_block(from)) {
+            let (first, outputs) = (from.range.start, &reading(band)[..]);
+            simd::spectrum(self.set, SpectrumTask::Place { transform, first, outputs, values });
         }
+        let gains = &job.gains[piece.sensor][piece.block];
+        let spectrum = &mut writing(&self.spectra[index])[..];
+        simd::spectrum(self.set, SpectrumTask::Apply { transform, plan: &self.plan, gains, values, spectrum });
     }
 
-    /// PCM of one channel in `samples`; of a PDM channel from the demodulated pieces.
-    fn gather_pdm(&self, sensor: usize, channel: usize, samples: &mut [f32]) {
-        for (piece, demodulated) in
-            self.raw_pieces.iter().zip(&self.demodulated).filter(|(piece, _)| piece.sensor == sensor)
-        {
-            let count = piece.samples.len();
-            samples[piece.samples.clone()].copy_from_slice(&reading(demodulated)[channel * count..][..count]);
-        }
-    }
-
-    fn matched_filter_share(&self, thread: usize, lend: Option<Lend<'_>>, scratch: &mut Scratch) {
-        let job = reading(&self.job);
-        for sensor in (0..self.plan.sensors.len()).filter(|&sensor| job.active[sensor]) {
-            for (channel, &gain) in job.gains[sensor].iter().enumerate() {
-                let index = self.first_channel[sensor] + channel;
-                if index % self.threads != thread {
-                    continue;
+    fn beams_share(&self, job: &Job, scratch: &mut Scratch) {
+        let parts = |group: &Group| if group.split { group.sensors.len() } else { 1 };
+        let count = self.groups.iter().map(|group| group.lane_blocks * parts(group)).sum();
+        self.take_tasks(count, |index| {
+            let mut rest = index;
+            for group in &self.groups {
+                let tasks = group.lane_blocks * parts(group);
+                if rest < tasks {
+                    let (part, lane_block) = (rest / group.lane_blocks, rest % group.lane_blocks);
+                    let sensors = if group.split { &group.sensors[part..=part] } else { &group.sensors[..] };
+                    self.beams(job, group, lane_block, sensors, scratch);
+                    return;
                 }
-                let spectrum = &mut *writing(&self.spectra[index]);
-                if gain == 0.0 {
-                    spectrum.fill(Complex::default());
-                } else if self.plan.format == SampleFormat::Pdm {
-                    let mut samples = std::mem::take(&mut scratch.samples);
-                    self.gather_pdm(sensor, channel, &mut samples);
-                    self.filter_channel(&samples, gain, scratch, spectrum);
-                    scratch.samples = samples;
-                } else {
-                    self.with_raw(index, lend, |raw| match raw {
-                        Part::PcmF32(samples) => self.filter_channel(samples, gain, scratch, spectrum),
-                        Part::PcmI16(values) => {
-                            let mut samples = std::mem::take(&mut scratch.samples);
-                            demodulate::full_scale(values, &mut samples);
-                            self.filter_channel(&samples, gain, scratch, spectrum);
-                            scratch.samples = samples;
-                        }
-                        Part::Pdm(_) => {}
-                    });
-                }
-            }
-        }
-    }
-
-    fn filter_channel(&self, samples: &[f32], gain: f32, scratch: &mut Scratch, spectrum: &mut [Complex<f32>]) {
-        let transform = &mut scratch.transform[..self.plan.forward_len];
-        let task = BandPassTask { filter: &self.band_pass, samples, window: &mut scratch.window, output: transform };
-        simd::band_pass(self.set, task);
-        self.forward.process_with_scratch(transform, &mut scratch.forward);
-        matched_filter::apply_reference(&self.plan, gain, transform, spectrum);
-    }
-
-    fn delay_and_sum_share(&self, scratch: &mut Scratch) {
-        let job = reading(&self.job);
-        let blocks = envelope::block_count(self.plan.bin_count);
-        self.take_tasks(self.groups.len() * blocks, |index| {
-            let (group, block) = (index / blocks, index % blocks);
-            let GroupJob { sensors, channels } = &job.groups[group];
-            if sensors.is_empty() {
-                return;
-            }
-            let tile = &mut *writing(&self.beams[group][block]);
-            let beams = &mut tile[..sensors.len() * self.plan.grid.direction_count() * BLOCK];
-            if channels.is_empty() {
-                beams.fill(Complex::default());
-                return;
-            }
-            let first = block * BLOCK;
-            let bins = first..self.plan.bin_count.min(first + BLOCK);
-            let stride = channels.len() * sensors.len();
-            for (place, sensor) in sensors.iter().enumerate() {
-                for (column, channel) in channels.iter().enumerate() {
-                    let spectrum = reading(&self.spectra[self.first_channel[*sensor] + channel]);
-                    for (row, bin) in spectrum[bins.clone()].iter().enumerate() {
-                        scratch.spectra[row * stride + column * sensors.len() + place] = *bin;
-                    }
-                }
-            }
-            let task = BeamTask {
-                steering: &self.groups[group].steering,
-                first_bin: self.plan.first_bin + first,
-                bin_count: bins.len(),
-                channels,
-                spectra: &scratch.spectra,
-                sensor_count: sensors.len(),
-                scratch: &mut scratch.phases,
-                beams,
-            };
-            simd::delay_and_sum(self.set, task);
-        });
-    }
-
-    fn envelope_share(&self, scratch: &mut Scratch) {
-        let job = reading(&self.job);
-        let pieces = self.pieces[0].len();
-        let (directions, ranges) = (self.plan.grid.direction_count(), self.plan.grid.range_count());
-        let length = self.plan.inverse_len;
-        self.take_tasks(self.plan.sensors.len() * pieces, |index| {
-            let (sensor, piece) = (index / pieces, index % pieces);
-            if !job.active[sensor] {
-                return;
-            }
-            let output = &mut *locked(&self.pieces[sensor][piece]);
-            let rows = output.len() / ranges;
-            let (group, place) = job.place[sensor];
-            let first_row = place * directions + piece * IMAGE_PIECE;
-            let transforms = &mut scratch.transform[..rows * length];
-            transforms.fill(Complex::default());
-            for (block, beams) in self.beams[group].iter().enumerate() {
-                let beams = reading(beams);
-                let bins = BLOCK.min(self.plan.bin_count - block * BLOCK);
-                for (row, transform) in transforms.chunks_exact_mut(length).enumerate() {
-                    let beam = &beams[(first_row + row) * BLOCK..][..bins];
-                    envelope::fold(self.plan.first_bin + block * BLOCK, beam, transform);
-                }
-            }
-            let hidden = &self.plan.sensors[sensor].hidden[piece * IMAGE_PIECE..];
-            let rows = transforms.chunks_exact_mut(length).zip(output.chunks_exact_mut(ranges)).zip(hidden);
-            for ((signal, output), hidden) in rows {
-                if *hidden {
-                    output.fill(0.0);
-                    continue;
-                }
-                self.inverse.process_with_scratch(signal, &mut scratch.inverse);
-                let taps = &self.plan.smoothing_taps;
-                let magnitudes = &mut scratch.magnitudes;
-                simd::magnitude(self.set, EnvelopeTask { signal, taps, magnitudes, output });
+                rest -= tasks;
             }
         });
     }
 
-    /// Puts the pieces of the images together; the caller does it alone.
-    pub(super) fn join_images(&self) {
-        let active = reading(&self.job).active;
-        for (sensor, (image, pieces)) in self.images.iter().zip(&self.pieces).enumerate() {
-            if active[sensor] {
-                let mut rest = &mut writing(image)[..];
-                for piece in pieces.iter().map(locked) {
-                    let (now, later) = rest.split_at_mut(piece.len());
-                    now.copy_from_slice(&piece);
-                    rest = later;
-                }
-            }
+    /// Beams and envelopes of one vector of directions, for some sensors of a group.
+    fn beams(&self, job: &Job, group: &Group, lane_block: usize, sensors: &[usize], scratch: &mut Scratch) {
+        let start = Instant::now();
+        let mut active = [0; SENSORS_MAX];
+        let mut sensor_count = 0;
+        for sensor in sensors.iter().filter(|sensor| job.active[**sensor]) {
+            active[sensor_count] = *sensor;
+            sensor_count += 1;
+        }
+        let active = &active[..sensor_count];
+        if active.is_empty() {
+            return;
+        }
+        let buffer_len = self.inverse.buffer_len(self.lanes);
+        let beams = &mut scratch.transforms[..2 * sensor_count * buffer_len];
+        self.steer(group, lane_block, active, &self.fold, &mut scratch.phases, beams);
+        let steered = Instant::now();
+        for (sensor, beams) in active.iter().zip(beams.chunks_exact_mut(2 * buffer_len)) {
+            let (direct, mirrored) = beams.split_at_mut(buffer_len);
+            self.envelope(*sensor, group, lane_block, false, direct, &mut scratch.square);
+            self.envelope(*sensor, group, lane_block, true, mirrored, &mut scratch.square);
+        }
+        for (total, time) in self.beam_times_ns.iter().zip([steered - start, steered.elapsed()]) {
+            total.fetch_add(time.as_nanos() as u64, Ordering::Relaxed);
         }
     }
 
-    fn gain_share(&self) {
-        let active = reading(&self.job).active;
-        self.take_tasks(self.images.len(), |sensor| {
-            if active[sensor] && !self.masks.rows.is_empty() {
-                let image = &reading(&self.images[sensor]);
-                let energies = &mut writing(&self.energies[sensor]);
-                let (gains, floors) = (&self.gains[sensor], &self.floors[sensor]);
-                simd::gained(self.set, GainTask { image, gains, floors, energies });
-            }
-        });
-    }
-
-    fn rows_share(&self) {
-        let active = reading(&self.job).active;
-        self.take_tasks(self.row_pieces.len(), |piece| {
-            let rows = &self.masks.rows[self.row_pieces[piece].clone()];
-            for (row, sums) in rows.iter().zip(locked(&self.sums[piece]).iter_mut()) {
-                *sums = if active[row.sensor_index] {
-                    let energies = reading(&self.energies[row.sensor_index]);
-                    masked_energy::masked_energy(&self.masks, &self.weights, row, &energies)
-                } else {
-                    RowSums::SILENT
-                };
-            }
-        });
-    }
-
-    /// Copies the sums of all rows to `sums`.
-    pub(super) fn copy_sums(&self, sums: &mut [RowSums]) {
-        for (rows, piece) in self.row_pieces.iter().zip(&self.sums) {
-            sums[rows.clone()].copy_from_slice(&locked(piece));
-        }
-    }
-
-    /// Demodulated samples of a sensor, `[channel][sample]`, zeros for a channel without gain: for tests.
-    pub(super) fn demodulated_of(&self, sensor: usize, lend: Lend<'_>) -> Vec<f32> {
-        let job = reading(&self.job);
-        let mut output = vec![0.0; job.gains[sensor].len() * self.plan.sample_count];
-        for (channel, samples) in output.chunks_exact_mut(self.plan.sample_count).enumerate() {
-            let row = channel * self.plan.raw_count..(channel + 1) * self.plan.raw_count;
-            if job.gains[sensor][channel] == 0.0 {
-                continue;
-            }
-            match lend(sensor) {
-                Samples::Pdm(_) => self.gather_pdm(sensor, channel, samples),
-                Samples::PcmI16(values) => demodulate::full_scale(&values[row], samples),
-                Samples::PcmF32(values) => samples.copy_from_slice(&values[row]),
-            }
-        }
-        output
-    }
-
-    /// Band spectra of a sensor's channels, `[channel][bin]`: for tests.
-    pub(super) fn spectra_of(&self, sensor: usize) -> Vec<[f32; 2]> {
-        let channels = self.first_channel[sensor]..self.first_channel[sensor + 1];
-        let rows = self.spectra[channels].iter().map(reading);
-        rows.flat_map(|row| row.iter().map(|bin| [bin.re, bin.im]).collect::<Vec<_>>()).collect()
-    }
-
-    /// Band spectra of a sensor's beams, `[direction][bin]`: for tests.
-    pub(super) fn beams_of(&self, sensor: usize) -> Vec<[f32; 2]> {
-        let (group, place) = reading(&self.job).place[sensor];
-        let directions = self.plan.grid.direction_count();
-        let bin = |direction: usize, bin: usize| {
-            let value =
-                reading(&self.beams[group][bin / BLOCK])[(place * directions + direction) * BLOCK + bin % BLOCK];
-            [value.re, value.im]
+    /// Beams of the `active` sensors into the places of `fold`.
+    pub(super) fn steer(
+        &self,
+        group: &Group,
+        lane_block: usize,
+        active: &[usize],
+        fold: &super::delay_and_sum::Fold,
+        phases: &mut [f32],
+        beams: &mut [f32],
+    ) {
+        let channel_count = group.steering.channel_count();
+        let blocks = channel_count.div_ceil(self.lanes);
+        let of = |block: usize, sensor: usize| {
+            let piece = |piece: &Piece| piece.sensor == sensor && piece.block == block;
+            self.transformed.iter().position(piece).map(|index| reading(&self.spectra[index]))
         };
-        (0..directions).flat_map(|d| (0..self.plan.bin_count).map(move |k| (d, k))).map(|(d, k)| bin(d, k)).collect()
+        let mut guards = [const { None }; BLOCKS_MAX];
+        for (index, guard) in guards[..blocks * active.len()].iter_mut().enumerate() {
+            *guard = of(index / active.len(), active[index % active.len()]);
+        }
+        let mut spectra: [&[f32]; BLOCKS_MAX] = [&[]; BLOCKS_MAX];
+        for (spectrum, guard) in spectra.iter_mut().zip(&guards) {
+            *spectrum = guard.as_ref().map_or(&[], |guard| &guard[..]);
+        }
+        let task = BeamTask {
+            steering: &group.steering,
+            lane_block,
+            first_bin: self.plan.first_bin,
+            spectra: &spectra[..blocks * active.len()],
+            sensor_count: active.len(),
+            fold,
+            phases: &mut phases[..super::delay_and_sum::scratch_len(channel_count, self.lanes)],
+            beams,
+        };
+        simd::delay_and_sum(self.set, task);
+    }
+
+    /// Rows of the image of one vector of directions, or of their mirrors.
+    fn envelope(
+        &self,
+        sensor: usize,
+        group: &Group,
+        lane_block: usize,
+        mirror: bool,
+        values: &mut [f32],
+        square: &mut [f32],
+    ) {
+        let mut rows = [const { None }; LANES_MAX];
+        let mut any = false;
+        for (row, lane) in rows.iter_mut().zip(group.steering.lanes(lane_block, self.lanes)) {
+            let Some(direction) = (if mirror { lane.1 } else { Some(lane.0) }) else { continue };
+            let Some(mut guard) = self.drafts[sensor].row(direction) else {
+                self.conflict.store(true, Ordering::Release);
+                continue;
+            };
+            if self.plan.sensors[sensor].hidden[direction] {
+                guard.fill(0.0);
+            } else {
+                *row = Some(guard);
+                any = true;
+            }
+        }
+        if any {
+            let (taps, range_count) = (&self.plan.smoothing_taps, self.plan.grid.range_count());
+            let rows = &mut rows[..];
+            simd::envelope(
+                self.set,
+                EnvelopeTask { transform: &self.inverse, taps, values, square, rows, range_count },
+            );
+        }
+    }
+
+    fn sum_rows(&self, job: &Job, index: usize, scratch: &mut Scratch) {
+        let rows: Range<usize> = self.row_pieces[index].clone();
+        for (index, sums) in rows.zip(locked(&self.sums[index]).iter_mut()) {
+            let row = &self.masks.rows[index];
+            *sums = RowSums::SILENT;
+            if job.active[row.sensor_index] {
+                let task = RowTask {
+                    runs: &self.row_runs,
+                    row: index,
+                    sensor: row.sensor_index,
+                    image: &reading(&self.images[row.sensor_index]),
+                    distances_m: &self.masks.distances_m[row.first..row.first + row.count],
+                    scratch: &mut scratch.energies,
+                    sums,
+                };
+                simd::masked_energy(self.set, task);
+            }
+        }
     }
 }
 
 impl pool::Work for Work {
     fn run(&self, phase: usize, thread: usize) {
-        self.share(Phase::ALL[phase], thread, None);
+        self.share(Phase::ALL[phase], thread);
     }
 }

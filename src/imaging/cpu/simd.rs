@@ -2,15 +2,23 @@
 //!
 //! In: an [`InstructionSet`] and the task of a kernel. Out: the same kernel with that set's [`Vector`]. The kernels are plain safe code in
 //! the stages' files, written over `Vector`; autovectorised arrays were tried and fell to scalar code at the slightest
-//! change. All unsafe code of the imaging is here: calls of functions compiled for a set, and the intrinsics inside them.
+//! change. Unsafe code: calls of functions compiled for a set, and the intrinsics inside them.
+
+mod plain;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+pub(super) use plain::Plain;
 
 use super::delay_and_sum::{self, BeamTask};
 use super::demodulate::{self, DemodulateTask};
 use super::envelope::{self, EnvelopeTask};
-use super::masked_energy::{self, GainTask};
-use super::matched_filter::{self, BandPassTask};
+use super::judge::{self, JudgeTask};
+use super::masked_energy::{self, RowTask};
+use super::matched_filter::{self, BandPassTask, SpectrumTask};
+use super::tile::{self, TileTask};
 #[cfg(target_arch = "x86_64")]
-use std::arch::x86_64::*;
+use x86::{Avx2, Avx512};
 
 /// A set of vector instructions that the hot loops are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -67,6 +75,15 @@ impl InstructionSet {
         }
     }
 
+    /// Bits of one look-up, see [`Vector::lookup`].
+    pub(super) fn lookup_bits(self) -> usize {
+        match self {
+            InstructionSet::Baseline => Plain::LOOKUP_BITS,
+            InstructionSet::Avx2 => 3,
+            InstructionSet::Avx512 => 4,
+        }
+    }
+
     /// Name for people.
     #[must_use]
     pub fn as_str(self) -> &'static str {
@@ -80,6 +97,11 @@ impl InstructionSet {
     }
 }
 
+/// Words of one step of [`Vector::bit_planes`].
+pub(super) const PLANE_WORDS: usize = 64;
+/// Bits of a word.
+pub(super) const PLANES: usize = 32;
+
 /// Several f32 in one register.
 ///
 /// The methods of a type may run only in code that is compiled for its instruction set and on a processor that has it; `dispatch!`,
@@ -87,185 +109,39 @@ impl InstructionSet {
 pub(super) trait Vector: Copy {
     /// Values in one vector.
     const LANES: usize;
-    /// Whether [`Vector::mul_add`] is fused; kernels that work value by value ask it too.
-    const FMA: bool;
+    /// Bits that [`Vector::lookup`] looks at.
+    const LOOKUP_BITS: usize;
+    /// A vector in memory: `[f32; LANES]`.
+    type Row: bytemuck::Pod + AsRef<[f32]> + AsMut<[f32]>;
+    /// Zeros in memory.
+    const ROW_OF_ZEROS: Self::Row;
     /// All lanes alike.
     fn splat(value: f32) -> Self;
-    /// The first [`Vector::LANES`] values. Panics if there are fewer.
-    fn load(values: &[f32]) -> Self;
-    /// Writes the first [`Vector::LANES`] values. Panics if there is no room.
-    fn store(self, values: &mut [f32]);
+    fn load(row: &Self::Row) -> Self;
+    fn store(self, row: &mut Self::Row);
     fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;
+    fn div(self, other: Self) -> Self;
+    fn sqrt(self) -> Self;
+    fn abs(self) -> Self;
     /// `self * factor + sum`.
     fn mul_add(self, factor: Self, sum: Self) -> Self;
-    /// Adds `other` in the lanes whose bit, from the lowest, is set.
-    fn add_where(self, bits: u32, other: Self) -> Self;
+    /// `sum - self * factor`.
+    fn neg_mul_add(self, factor: Self, sum: Self) -> Self;
+    /// Lane by lane `then` where `self < limit`, else `otherwise`, also where either is NaN.
+    fn where_less(self, limit: Self, then: Self, otherwise: Self) -> Self;
+    /// A bit for each lane, from the lowest: whether `self < limit`.
+    fn less_bits(self, limit: Self) -> u32;
     /// Sum of all lanes, in a fixed order.
     fn sum(self) -> f32;
+    /// Exchanges rows and lanes of the first `LANES` rows.
+    fn transpose(rows: &mut [Self::Row]);
+    /// `table[word >> shift]` for each lane's word, looking at the lowest `LOOKUP_BITS` bits of the shifted word alone.
+    fn lookup(table: &[f32; 16], words: &[u32], shift: u32) -> Self;
+    /// Bit k of word n to bit n of plane k.
+    fn bit_planes(words: &[u32; PLANE_WORDS], planes: &mut [u64; PLANES]);
 }
-
-/// `a * b + c`, fused where the vectors are, since elsewhere it would be a function call.
-#[inline(always)]
-pub(super) fn multiply_add<V: Vector>(a: f32, b: f32, c: f32) -> f32 {
-    if V::FMA { a.mul_add(b, c) } else { a * b + c }
-}
-
-/// Four lanes, which every compiler turns into the registers of its architecture.
-#[derive(Clone, Copy)]
-#[repr(align(16))]
-pub(super) struct Plain([f32; 4]);
-
-impl Vector for Plain {
-    const LANES: usize = 4;
-    const FMA: bool = cfg!(any(target_arch = "aarch64", target_feature = "fma"));
-    #[inline(always)]
-    fn splat(value: f32) -> Self {
-        Self([value; 4])
-    }
-    #[inline(always)]
-    fn load(values: &[f32]) -> Self {
-        Self([values[0], values[1], values[2], values[3]])
-    }
-    #[inline(always)]
-    fn store(self, values: &mut [f32]) {
-        values[..4].copy_from_slice(&self.0);
-    }
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        let ([a, b, c, d], [e, f, g, h]) = (self.0, other.0);
-        Self([a + e, b + f, c + g, d + h])
-    }
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        let ([a, b, c, d], [e, f, g, h]) = (self.0, other.0);
-        Self([a - e, b - f, c - g, d - h])
-    }
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        let ([a, b, c, d], [e, f, g, h]) = (self.0, other.0);
-        Self([a * e, b * f, c * g, d * h])
-    }
-    #[inline(always)]
-    fn mul_add(self, factor: Self, sum: Self) -> Self {
-        if Self::FMA {
-            let ([a, b, c, d], [e, f, g, h], [i, j, k, l]) = (self.0, factor.0, sum.0);
-            Self([a.mul_add(e, i), b.mul_add(f, j), c.mul_add(g, k), d.mul_add(h, l)])
-        } else {
-            self.mul(factor).add(sum)
-        }
-    }
-    #[inline(always)]
-    fn add_where(self, bits: u32, other: Self) -> Self {
-        // A bit spread over a whole word lets the value through or not, without a branch.
-        let masked = |lane: usize| {
-            let spread = ((bits << (31 - lane)) as i32 >> 31) as u32;
-            f32::from_bits(other.0[lane].to_bits() & spread)
-        };
-        self.add(Self([masked(0), masked(1), masked(2), masked(3)]))
-    }
-    #[inline(always)]
-    fn sum(self) -> f32 {
-        let [a, b, c, d] = self.0;
-        (a + c) + (b + d)
-    }
-}
-
-// SAFETY, for every `unsafe` of the two types below: the intrinsics need the instruction set, which holds wherever these methods run (see
-// `Vector`); loads and stores touch `LANES` values of a slice that was cut to that length first, and need no alignment.
-#[cfg(target_arch = "x86_64")]
-macro_rules! x86_vector {
-    ($name:ident, $register:ty, $lanes:literal, $set1:ident, $loadu:ident, $storeu:ident, $add:ident, $sub:ident, $mul:ident,
-     $fmadd:ident, |$this:ident, $bits:ident, $other:ident| $add_where:expr, |$summed:ident| $sum:expr) => {
-        #[derive(Clone, Copy)]
-        pub(super) struct $name($register);
-
-        impl Vector for $name {
-            const LANES: usize = $lanes;
-            const FMA: bool = true;
-            #[inline(always)]
-            fn splat(value: f32) -> Self {
-                Self(unsafe { $set1(value) })
-            }
-            #[inline(always)]
-            fn load(values: &[f32]) -> Self {
-                Self(unsafe { $loadu(values[..$lanes].as_ptr()) })
-            }
-            #[inline(always)]
-            fn store(self, values: &mut [f32]) {
-                unsafe { $storeu(values[..$lanes].as_mut_ptr(), self.0) }
-            }
-            #[inline(always)]
-            fn add(self, other: Self) -> Self {
-                Self(unsafe { $add(self.0, other.0) })
-            }
-            #[inline(always)]
-            fn sub(self, other: Self) -> Self {
-                Self(unsafe { $sub(self.0, other.0) })
-            }
-            #[inline(always)]
-            fn mul(self, other: Self) -> Self {
-                Self(unsafe { $mul(self.0, other.0) })
-            }
-            #[inline(always)]
-            fn mul_add(self, factor: Self, sum: Self) -> Self {
-                Self(unsafe { $fmadd(self.0, factor.0, sum.0) })
-            }
-            #[inline(always)]
-            fn add_where(self, $bits: u32, $other: Self) -> Self {
-                let $this = self;
-                Self(unsafe { $add_where })
-            }
-            #[inline(always)]
-            fn sum(self) -> f32 {
-                let $summed = self;
-                unsafe { $sum }
-            }
-        }
-    };
-}
-
-#[cfg(target_arch = "x86_64")]
-x86_vector!(
-    Avx512,
-    __m512,
-    16,
-    _mm512_set1_ps,
-    _mm512_loadu_ps,
-    _mm512_storeu_ps,
-    _mm512_add_ps,
-    _mm512_sub_ps,
-    _mm512_mul_ps,
-    _mm512_fmadd_ps,
-    |this, bits, other| _mm512_mask_add_ps(this.0, bits as __mmask16, this.0, other.0),
-    |this| _mm512_reduce_add_ps(this.0)
-);
-
-#[cfg(target_arch = "x86_64")]
-x86_vector!(
-    Avx2,
-    __m256,
-    8,
-    _mm256_set1_ps,
-    _mm256_loadu_ps,
-    _mm256_storeu_ps,
-    _mm256_add_ps,
-    _mm256_sub_ps,
-    _mm256_mul_ps,
-    _mm256_fmadd_ps,
-    |this, bits, other| {
-        let lane_bits = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
-        let set = _mm256_and_si256(_mm256_set1_epi32(bits as i32), lane_bits);
-        let mask = _mm256_castsi256_ps(_mm256_cmpeq_epi32(set, lane_bits));
-        _mm256_add_ps(this.0, _mm256_and_ps(mask, other.0))
-    },
-    |this| {
-        let half = _mm_add_ps(_mm256_castps256_ps128(this.0), _mm256_extractf128_ps::<1>(this.0));
-        let quarter = _mm_add_ps(half, _mm_movehl_ps(half, half));
-        _mm_cvtss_f32(_mm_add_ss(quarter, _mm_shuffle_ps::<1>(quarter, quarter)))
-    }
-);
 
 /// Compiles `$kernel` for every instruction set and chooses among them at run time.
 macro_rules! dispatch {
@@ -297,24 +173,36 @@ macro_rules! dispatch {
 }
 
 dispatch!(
+    /// Judges channels, see [`judge::judge`].
+    judge, judge::judge, JudgeTask<'_>
+);
+dispatch!(
     /// PDM words to PCM, see [`demodulate::demodulate`].
     demodulate, demodulate::demodulate, DemodulateTask<'_>
+);
+dispatch!(
+    /// PCM side by side, see [`tile::fill`].
+    fill, tile::fill, TileTask<'_>
 );
 dispatch!(
     /// PCM to the decimated band, see [`matched_filter::band_pass`].
     band_pass, matched_filter::band_pass, BandPassTask<'_>
 );
 dispatch!(
+    /// The decimated band to its spectrum, see [`matched_filter::spectrum`].
+    spectrum, matched_filter::spectrum, SpectrumTask<'_>
+);
+dispatch!(
     /// Channels to beams, see [`delay_and_sum::delay_and_sum`].
     delay_and_sum, delay_and_sum::delay_and_sum, BeamTask<'_>
 );
 dispatch!(
-    /// Magnitude and smoothing, see [`envelope::magnitude`].
-    magnitude, envelope::magnitude, EnvelopeTask<'_>
+    /// Beams to rows of the image, see [`envelope::envelope`].
+    envelope, envelope::envelope, EnvelopeTask<'_, '_>
 );
 dispatch!(
-    /// Range gain and noise floor, see [`masked_energy::gained`].
-    gained, masked_energy::gained, GainTask<'_>
+    /// Sums over a row of the mask table, see [`masked_energy::masked_energy`].
+    masked_energy, masked_energy::masked_energy, RowTask<'_>
 );
 
 #[cfg(test)]
@@ -324,38 +212,87 @@ mod tests {
     /// Every operation lane by lane against plain arithmetic.
     #[inline(always)]
     fn check<V: Vector>() {
-        let a: Vec<f32> = (0..V::LANES).map(|lane| lane as f32 + 0.25).collect();
-        let b: Vec<f32> = (0..V::LANES).map(|lane| 3.0 - 2.0 * lane as f32).collect();
-        let mut found = vec![0.0; V::LANES];
-        let mut lanes = |value: V| {
+        let row = |of: fn(usize) -> f32| {
+            let mut row = V::ROW_OF_ZEROS;
+            row.as_mut().iter_mut().enumerate().for_each(|(lane, value)| *value = of(lane));
+            row
+        };
+        let (a, b) = (row(|lane| lane as f32 + 0.25), row(|lane| 3.0 - 2.0 * lane as f32));
+        let lanes = |value: V| {
+            let mut found = V::ROW_OF_ZEROS;
             value.store(&mut found);
-            found.clone()
+            found.as_ref().to_vec()
         };
         let (x, y) = (V::load(&a), V::load(&b));
-        let expected = |f: fn(f32, f32) -> f32| a.iter().zip(&b).map(|(a, b)| f(*a, *b)).collect::<Vec<f32>>();
+        let expected =
+            |f: fn(f32, f32) -> f32| a.as_ref().iter().zip(b.as_ref()).map(|(a, b)| f(*a, *b)).collect::<Vec<f32>>();
         assert_eq!(lanes(x.add(y)), expected(|a, b| a + b));
         assert_eq!(lanes(x.sub(y)), expected(|a, b| a - b));
         assert_eq!(lanes(x.mul(y)), expected(|a, b| a * b));
+        assert_eq!(lanes(x.div(y)), expected(|a, b| a / b));
+        assert_eq!(lanes(x.sqrt()), expected(|a, _| a.sqrt()));
+        assert_eq!(lanes(y.abs()), expected(|_, b| b.abs()));
         assert_eq!(lanes(x.mul_add(y, V::splat(0.5))), expected(|a, b| a * b + 0.5));
-        for bits in [0, 1, 0b1010, 0x8421, u32::MAX] {
-            let sum = |lane: usize| if bits >> lane & 1 == 1 { a[lane] + b[lane] } else { a[lane] };
-            assert_eq!(lanes(x.add_where(bits, y)), (0..V::LANES).map(sum).collect::<Vec<f32>>());
+        assert_eq!(lanes(x.neg_mul_add(y, V::splat(0.5))), expected(|a, b| 0.5 - a * b));
+        assert_eq!(lanes(x.where_less(y, x, V::splat(-7.0))), expected(|a, b| if a < b { a } else { -7.0 }));
+        let nan = V::splat(f32::NAN);
+        assert_eq!(lanes(nan.where_less(y, x, V::splat(-7.0))), vec![-7.0; V::LANES]);
+        let less = |bits, (lane, (a, b)): (usize, (&f32, &f32))| bits | u32::from(a < b) << lane;
+        assert_eq!(x.less_bits(y), a.as_ref().iter().zip(b.as_ref()).enumerate().fold(0, less));
+        assert_eq!((nan.less_bits(y), y.less_bits(nan)), (0, 0));
+        assert_eq!(x.sum(), a.as_ref().iter().sum::<f32>());
+    }
+
+    /// Whatever moves values between lanes, against indices.
+    #[inline(always)]
+    fn check_moves<V: Vector>() {
+        let mut square = vec![V::ROW_OF_ZEROS; V::LANES];
+        for (index, row) in square.iter_mut().enumerate() {
+            row.as_mut().iter_mut().enumerate().for_each(|(lane, value)| *value = (100 * index + lane) as f32);
         }
-        assert_eq!(x.sum(), a.iter().sum::<f32>());
+        V::transpose(&mut square);
+        for (index, row) in square.iter().enumerate() {
+            for (lane, value) in row.as_ref().iter().enumerate() {
+                assert_eq!(*value, (100 * lane + index) as f32, "row {index}, lane {lane}");
+            }
+        }
+
+        let table: [f32; 16] = std::array::from_fn(|index| index as f32);
+        let random = |index: u32| (index + 1).wrapping_mul(2_654_435_761).rotate_left(index % 31);
+        let words: Vec<u32> = (0..V::LANES as u32).map(random).collect();
+        for shift in 0..28 {
+            let mut found = V::ROW_OF_ZEROS;
+            V::lookup(&table, &words, shift).store(&mut found);
+            for (value, word) in found.as_ref().iter().zip(&words) {
+                assert_eq!(*value, (word >> shift & ((1 << V::LOOKUP_BITS) - 1)) as f32, "shift {shift}");
+            }
+        }
+
+        let words: [u32; PLANE_WORDS] = std::array::from_fn(|index| random(index as u32));
+        let mut planes = [0; PLANES];
+        V::bit_planes(&words, &mut planes);
+        for (bit, plane) in planes.iter().enumerate() {
+            for (index, word) in words.iter().enumerate() {
+                assert_eq!(plane >> index & 1, u64::from(word >> bit & 1), "bit {bit} of word {index}");
+            }
+        }
     }
 
     #[test]
     fn every_vector_type_computes_lane_by_lane() {
         check::<Plain>();
+        check_moves::<Plain>();
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma")]
             fn avx512() {
                 check::<Avx512>();
+                check_moves::<Avx512>();
             }
             #[target_feature(enable = "avx2,fma")]
             fn avx2() {
                 check::<Avx2>();
+                check_moves::<Avx2>();
             }
             if InstructionSet::Avx2.is_available() {
                 // SAFETY: the processor was asked.

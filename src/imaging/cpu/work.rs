@@ -1,56 +1,41 @@
-//! The buffers of the CPU backend and the share of every thread in every phase.
+//! The buffers of the CPU backend, made once and shared by all threads.
 //!
-//! In: a [`Job`] (which sensors, which gains) and raw samples, lent by the caller or copied for the other threads. Out: the
-//! energyscapes and sums in this file's buffers. Every buffer that threads hand to each other is cut into pieces with a lock
-//! each; a piece is written by one thread in one phase and read in later ones, so nobody ever waits at a lock. The arithmetic is
-//! in the stages' files.
+//! In: a plan, a mask table, an instruction set. Out: buffers cut into pieces with a lock each; a piece is written by one thread in one
+//! phase and read in later ones, so nobody ever waits at a lock. What is done with them is in [`super::shares`], the arithmetic in
+//! the stages' files.
 
-use super::delay_and_sum::{self, BLOCK, Steering};
-use super::demodulate::{self, WORD_CHANNELS};
-use super::envelope;
-use super::masked_energy::RowWeights;
-use super::matched_filter::BandPass;
+use super::aligned::Aligned;
+use super::delay_and_sum::{self, Fold, Steering};
+use super::demodulate::{BitFilter, WORD_CHANNELS};
+use super::masked_energy::RowRuns;
+use super::shared_image::SharedImage;
 use super::simd::InstructionSet;
+use super::transform::Transform;
+use crate::imaging::channels::{ChannelFinding, WORDS_OVERLAP, WordFindings};
 use crate::imaging::plan::ImagingPlan;
 use crate::signal::{MaskTable, RowSums, SENSORS_MAX, SampleFormat, Samples};
-use rustfft::num_complex::Complex;
-use rustfft::{Fft, FftPlanner};
 use std::ops::Range;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 /// Outputs of one piece of PDM demodulation.
 const PDM_PIECE: usize = 512;
-/// Directions of one piece of an image.
-pub(super) const IMAGE_PIECE: usize = 6;
-/// Cells of one piece of the masked sums, about.
-const ROWS_PIECE: usize = 8192;
+/// Outputs of one piece of the band-pass.
+const BAND_PIECE: usize = 256;
+/// PDM words of one piece of the judging.
+const JUDGE_PIECE: usize = 16_384;
+/// Runs of one piece of the masked sums, about.
+const RUNS_PIECE: usize = 1024;
+/// Most blocks of channels of all sensors: 256 channels, four lanes.
+pub(super) const BLOCKS_MAX: usize = SENSORS_MAX * 64;
 
-/// The phases of a ping, in order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(usize)]
-pub(super) enum Phase {
-    Demodulate,
-    MatchedFilter,
-    DelayAndSum,
-    Envelope,
-    Gain,
-    Rows,
-}
-
-impl Phase {
-    pub(super) const ALL: [Phase; 6] =
-        [Phase::Demodulate, Phase::MatchedFilter, Phase::DelayAndSum, Phase::Envelope, Phase::Gain, Phase::Rows];
-}
-
-/// A piece of the raw data: one channel (PCM) or some outputs of all channels (PDM).
+/// A part of one sensor's data: values, outputs or bins, whatever the phase cuts.
 #[derive(Debug, Clone)]
-pub(super) struct RawPiece {
+pub(super) struct Piece {
     pub sensor: usize,
-    /// Values of the raw ping.
-    pub values: Range<usize>,
-    /// PDM: outputs.
-    pub samples: Range<usize>,
+    /// Block of channels, where the phase has such.
+    pub block: usize,
+    pub range: Range<usize>,
 }
 
 /// Sensors with the same steering.
@@ -58,6 +43,9 @@ pub(super) struct RawPiece {
 pub(super) struct Group {
     pub sensors: Vec<usize>,
     pub steering: Steering,
+    pub lane_blocks: usize,
+    /// Whether each sensor is a task of its own: where there are few vectors of directions for many threads.
+    pub split: bool,
 }
 
 /// What is to be done with the current ping set.
@@ -65,67 +53,21 @@ pub(super) struct Group {
 pub(super) struct Job {
     /// Sensors to image.
     pub active: [bool; SENSORS_MAX],
-    /// `[sensor][channel]`.
-    pub gains: Vec<Vec<f32>>,
-    pub groups: Vec<GroupJob>,
-    /// Group of each active sensor, and its place among the group's active ones.
-    pub place: [(usize, usize); SENSORS_MAX],
-}
-
-/// What is to be done for one array.
-#[derive(Debug)]
-pub(super) struct GroupJob {
-    /// Its active sensors, in order.
-    pub sensors: Vec<usize>,
-    /// The channels that any of them uses.
-    pub channels: Vec<usize>,
+    /// Their samples, lent for the time of the job.
+    pub samples: [Option<Arc<Samples>>; SENSORS_MAX],
+    /// `[sensor][block]` of `[lane]`.
+    pub gains: Vec<Vec<Aligned>>,
 }
 
 /// Scratch of one thread.
-#[derive(Debug)]
 pub(super) struct Scratch {
-    pub samples: Vec<f32>,
-    pub window: Vec<f32>,
-    pub forward: Vec<Complex<f32>>,
-    pub inverse: Vec<Complex<f32>>,
-    pub transform: Vec<Complex<f32>>,
-    pub magnitudes: Vec<f32>,
-    pub spectra: Vec<Complex<f32>>,
-    pub phases: Vec<f32>,
-}
-
-impl Job {
-    fn new(plan: &ImagingPlan, groups: usize) -> Self {
-        let (sensors, channels) = (plan.sensors.len(), channels_max(plan));
-        let group =
-            |_: usize| GroupJob { sensors: Vec::with_capacity(sensors), channels: Vec::with_capacity(channels) };
-        Self {
-            active: [false; SENSORS_MAX],
-            gains: plan.sensors.iter().map(|sensor| vec![0.0; sensor.channel_count]).collect(),
-            groups: (0..groups).map(group).collect(),
-            place: [(0, 0); SENSORS_MAX],
-        }
-    }
-}
-
-impl Scratch {
-    fn new(plan: &ImagingPlan, band_pass: &BandPass, forward: &dyn Fft<f32>, inverse: &dyn Fft<f32>) -> Self {
-        let zeros = |count: usize| vec![Complex::default(); count];
-        Self {
-            samples: vec![0.0; plan.sample_count],
-            window: vec![0.0; band_pass.window_len()],
-            forward: zeros(forward.get_inplace_scratch_len()),
-            inverse: zeros(inverse.get_inplace_scratch_len()),
-            transform: zeros(plan.forward_len.max(IMAGE_PIECE * plan.inverse_len)),
-            magnitudes: vec![0.0; plan.inverse_len],
-            spectra: zeros(BLOCK * channels_max(plan) * SENSORS_MAX),
-            phases: vec![0.0; delay_and_sum::scratch_len(channels_max(plan))],
-        }
-    }
-}
-
-fn channels_max(plan: &ImagingPlan) -> usize {
-    plan.sensors.iter().map(|sensor| sensor.channel_count).max().unwrap_or(0)
+    pub tile: Aligned,
+    pub windows: Vec<[u32; WORD_CHANNELS]>,
+    /// A transform of a block of channels, or those of the beams.
+    pub transforms: Aligned,
+    pub phases: Aligned,
+    pub square: Aligned,
+    pub energies: Aligned,
 }
 
 /// Everything that the threads share.
@@ -133,34 +75,37 @@ pub(super) struct Work {
     pub plan: Arc<ImagingPlan>,
     pub masks: Arc<MaskTable>,
     pub set: InstructionSet,
-    pub threads: usize,
-    pub band_pass: BandPass,
-    pub forward: Arc<dyn Fft<f32>>,
-    pub inverse: Arc<dyn Fft<f32>>,
+    pub lanes: usize,
+    pub bit_filter: BitFilter,
+    pub forward: Transform,
+    pub inverse: Transform,
+    pub fold: Fold,
     pub groups: Vec<Group>,
-    pub weights: RowWeights,
-    pub gains: Vec<Vec<f32>>,
-    pub floors: Vec<Vec<f32>>,
-    /// First channel of each sensor among all channels, and their number at the end.
-    pub first_channel: Vec<usize>,
-    pub row_pieces: Vec<Range<usize>>,
-    pub raw_pieces: Vec<RawPiece>,
-    pub next: AtomicUsize,
+    pub row_runs: RowRuns,
+    next: AtomicUsize,
+    /// A row of an image was held twice: a fault of this program.
+    pub conflict: AtomicBool,
+    /// Time spent in delay_and_sum and in envelope by all threads, nanoseconds: they share a phase.
+    pub beam_times_ns: [AtomicU64; 2],
     pub job: RwLock<Job>,
     pub scratch: Vec<Mutex<Scratch>>,
-    /// Copies of the raw pieces that other threads than the caller work on.
-    pub copies: Vec<Mutex<Samples>>,
-    /// `[raw piece]` of `[channel][sample]`, PDM only.
-    pub demodulated: Vec<RwLock<Vec<f32>>>,
-    /// `[channel of all sensors]` of `[bin]`.
-    pub spectra: Vec<RwLock<Vec<Complex<f32>>>>,
-    /// `[group][block]` of `[active sensor][direction][bin]`.
-    pub beams: Vec<Vec<RwLock<Vec<Complex<f32>>>>>,
-    /// `[sensor][piece]` of `[direction][range]`.
-    pub pieces: Vec<Vec<Mutex<Vec<f32>>>>,
-    /// `[sensor]` of `[direction][range]`.
+    pub judged: Vec<Piece>,
+    /// `[piece of judged]`: PCM has a finding a channel, PDM some for all.
+    pub findings: Vec<Mutex<ChannelFinding>>,
+    pub word_findings: Vec<Mutex<WordFindings>>,
+    pub demodulated: Vec<Piece>,
+    /// `[piece of demodulated]` of `[block][sample, padded][lane]`.
+    pub pcm: Vec<RwLock<Aligned>>,
+    pub filtered: Vec<Piece>,
+    /// `[piece of filtered]` of `[output][re, im][lane]`.
+    pub band: Vec<RwLock<Aligned>>,
+    pub transformed: Vec<Piece>,
+    /// `[piece of transformed]` of `[bin][re, im][lane]`.
+    pub spectra: Vec<RwLock<Aligned>>,
+    /// `[sensor]` of `[direction][range]`: being written, and finished.
+    pub drafts: Vec<SharedImage>,
     pub images: Vec<RwLock<Vec<f32>>>,
-    pub energies: Vec<RwLock<Vec<f32>>>,
+    pub row_pieces: Vec<Range<usize>>,
     /// `[row piece]` of `[row]`.
     pub sums: Vec<Mutex<Vec<RowSums>>>,
 }
@@ -177,147 +122,149 @@ pub(super) fn writing<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
     lock.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Values per sensor and range from the mask table, `default` where it has none.
-fn range_table(table: &[Vec<f32>], plan: &ImagingPlan, default: f32) -> Vec<Vec<f32>> {
-    let ranges = plan.grid.range_count();
+fn channels_max(plan: &ImagingPlan) -> usize {
+    plan.sensors.iter().map(|sensor| sensor.channel_count).max().unwrap_or(0)
+}
+
+/// `0..count` in pieces of `piece`, for every block of every sensor.
+fn pieces(plan: &ImagingPlan, blocks: impl Fn(usize) -> usize, count: usize, piece: usize) -> Vec<Piece> {
+    let of_block = |sensor: usize, block: usize| {
+        let range = move |first: usize| first..count.min(first + piece);
+        (0..count).step_by(piece).map(move |first| Piece { sensor, block, range: range(first) })
+    };
     (0..plan.sensors.len())
-        .map(|sensor| {
-            table.get(sensor).filter(|row| row.len() == ranges).cloned().unwrap_or_else(|| vec![default; ranges])
-        })
+        .flat_map(|sensor| (0..blocks(sensor)).map(move |block| (sensor, block)))
+        .flat_map(|(sensor, block)| of_block(sensor, block))
         .collect()
 }
 
-fn raw_pieces(plan: &ImagingPlan) -> Vec<RawPiece> {
-    let of_sensor = |sensor: usize| -> Vec<RawPiece> {
-        if plan.format == SampleFormat::Pdm {
-            let pieces = (0..plan.sample_count).step_by(PDM_PIECE);
-            let piece = |first: usize| {
-                let count = PDM_PIECE.min(plan.sample_count - first);
-                let taps = plan.demodulation_taps.len();
-                let values = demodulate::words_needed(first, count, plan.decimation, taps, plan.raw_count);
-                RawPiece { sensor, values, samples: first..first + count }
-            };
-            pieces.map(piece).collect()
-        } else {
-            let channels = 0..plan.sensors[sensor].channel_count;
-            let row = |channel: usize| channel * plan.raw_count..(channel + 1) * plan.raw_count;
-            channels.map(|channel| RawPiece { sensor, values: row(channel), samples: 0..plan.sample_count }).collect()
-        }
-    };
-    (0..plan.sensors.len()).flat_map(of_sensor).collect()
-}
-
-/// Rows in order, cut where about [`ROWS_PIECE`] cells are together.
-fn row_pieces(masks: &MaskTable) -> Vec<Range<usize>> {
-    let mut pieces = Vec::new();
-    let (mut first, mut cells) = (0, 0);
-    for (index, row) in masks.rows.iter().enumerate() {
-        cells += row.count;
-        if cells >= ROWS_PIECE || index + 1 == masks.rows.len() {
-            pieces.push(first..index + 1);
-            (first, cells) = (index + 1, 0);
-        }
+/// PCM: a channel each; PDM: stretches of words that overlap by what a run may straddle.
+fn judged(plan: &ImagingPlan) -> Vec<Piece> {
+    if plan.format != SampleFormat::Pdm {
+        return pieces(plan, |sensor| plan.sensors[sensor].channel_count, plan.raw_count, plan.raw_count);
+    }
+    let mut pieces = pieces(plan, |_| 1, plan.raw_count, JUDGE_PIECE);
+    for piece in &mut pieces {
+        piece.range.end = plan.raw_count.min(piece.range.end + WORDS_OVERLAP);
     }
     pieces
 }
 
 /// Sensors with the same delays together, with their steering.
-fn groups(plan: &ImagingPlan, set: InstructionSet) -> Vec<Group> {
+fn groups(plan: &ImagingPlan, lanes: usize, threads: usize) -> Vec<Group> {
     let sensors = || 0..plan.sensors.len();
-    let group = |first: usize| Group {
-        sensors: sensors().filter(|&sensor| plan.sensors[sensor].steering_of == first).collect(),
-        steering: Steering::new(&plan.sensors[first], plan.bin_step_hz, set.lanes()),
+    let group = |first: usize| {
+        let steering = Steering::new(&plan.sensors[first], plan.bin_step_hz, lanes);
+        let lane_blocks = steering.lane_blocks(lanes);
+        Group {
+            sensors: sensors().filter(|&sensor| plan.sensors[sensor].steering_of == first).collect(),
+            steering,
+            lane_blocks,
+            split: lane_blocks < 3 * threads,
+        }
     };
     sensors().filter(|&sensor| plan.sensors[sensor].steering_of == sensor).map(group).collect()
 }
 
-/// First channel of each sensor among the channels of all, and their number at the end.
-fn first_channels(plan: &ImagingPlan) -> Vec<usize> {
-    let mut first = vec![0];
-    first.extend(plan.sensors.iter().scan(0, |sum, sensor| {
-        *sum += sensor.channel_count;
-        Some(*sum)
-    }));
-    first
+fn fold(plan: &ImagingPlan, inverse: &Transform) -> Fold {
+    let len = plan.inverse_len;
+    let place = |index: usize| inverse.place((plan.first_bin + index) % len) as u32;
+    Fold {
+        places: (0..plan.bin_count).map(place).collect(),
+        fresh: len,
+        gaps: (plan.bin_count..len.max(plan.bin_count)).map(place).collect(),
+        len,
+    }
 }
 
 impl Work {
     /// Makes all buffers.
     pub(super) fn new(plan: Arc<ImagingPlan>, masks: Arc<MaskTable>, set: InstructionSet, threads: usize) -> Self {
-        let mut planner = FftPlanner::new();
-        let forward = planner.plan_fft_forward(plan.forward_len);
-        let inverse = planner.plan_fft_inverse(plan.inverse_len);
-        let sensors = plan.sensors.len();
+        let lanes = set.lanes();
         let (directions, ranges) = (plan.grid.direction_count(), plan.grid.range_count());
-        let groups = groups(&plan, set);
-        let first_channel = first_channels(&plan);
-        let zeros = |count: usize| vec![Complex::default(); count];
-        let band_pass = BandPass::new(&plan);
-        let raw_pieces = raw_pieces(&plan);
-        let row_pieces = row_pieces(&masks);
-        let blocks = envelope::block_count(plan.bin_count);
-        let demodulated = |piece: &RawPiece| {
-            let pdm = if plan.format == SampleFormat::Pdm { WORD_CHANNELS * piece.samples.len() } else { 0 };
-            RwLock::new(vec![0.0; pdm])
-        };
-        let copied = |(index, piece): (usize, &RawPiece)| {
-            let len = if index % threads == 0 { 0 } else { piece.values.len() };
-            Mutex::new(Samples::zeros(plan.format, len))
-        };
-        let group_beams = |group: &Group| {
-            (0..blocks).map(|_| RwLock::new(zeros(group.sensors.len() * directions * BLOCK))).collect::<Vec<_>>()
-        };
-        let image_pieces = |_: usize| {
-            let count = |first: usize| IMAGE_PIECE.min(directions - first);
-            (0..directions).step_by(IMAGE_PIECE).map(|first| Mutex::new(vec![0.0; count(first) * ranges])).collect()
-        };
-        let image = |_: usize| RwLock::new(vec![0.0; directions * ranges]);
+        let sensors = plan.sensors.len();
+        let blocks = |sensor: usize| plan.sensors[sensor].channel_count.div_ceil(lanes);
+        let bit_filter = BitFilter::new(&plan.demodulation_taps, plan.decimation, set.lookup_bits());
+        let (forward, inverse) = (Transform::new(plan.forward_len), Transform::new(plan.inverse_len));
+        let row_runs = RowRuns::new(&masks, &plan, lanes);
+        let row_pieces = row_runs.pieces(RUNS_PIECE);
+        let pdm = plan.format == SampleFormat::Pdm;
+        let judged = judged(&plan);
+        let demodulated = if pdm { pieces(&plan, |_| 1, plan.sample_count, PDM_PIECE) } else { Vec::new() };
+        let filtered = pieces(&plan, blocks, plan.forward_len, BAND_PIECE);
+        let transformed = pieces(&plan, blocks, plan.bin_count, plan.bin_count);
+        let zeros = |len: usize| RwLock::new(Aligned::zeros(len));
+        let pcm = |piece: &Piece| zeros(bit_filter.padded(piece.range.len()) * blocks(piece.sensor) * lanes);
+        let gains = |sensor: usize| (0..blocks(sensor)).map(|_| Aligned::zeros(lanes)).collect();
         Self {
+            lanes,
             set,
-            threads,
-            weights: RowWeights::new(&masks, &plan.grid),
-            gains: range_table(&masks.gains, &plan, 1.0),
-            floors: range_table(&masks.floors, &plan, 0.0),
+            fold: fold(&plan, &inverse),
+            groups: groups(&plan, lanes, threads),
             next: AtomicUsize::new(0),
-            job: RwLock::new(Job::new(&plan, groups.len())),
-            scratch: (0..threads).map(|_| Mutex::new(Scratch::new(&plan, &band_pass, &*forward, &*inverse))).collect(),
-            copies: raw_pieces.iter().enumerate().map(copied).collect(),
-            demodulated: raw_pieces.iter().map(demodulated).collect(),
-            spectra: (0..first_channel[sensors]).map(|_| RwLock::new(zeros(plan.bin_count))).collect(),
-            beams: groups.iter().map(group_beams).collect(),
-            pieces: (0..sensors).map(image_pieces).collect(),
-            images: (0..sensors).map(image).collect(),
-            energies: (0..sensors).map(image).collect(),
+            conflict: AtomicBool::new(false),
+            beam_times_ns: [AtomicU64::new(0), AtomicU64::new(0)],
+            job: RwLock::new(Job {
+                active: [false; SENSORS_MAX],
+                samples: [const { None }; SENSORS_MAX],
+                gains: (0..sensors).map(gains).collect(),
+            }),
+            findings: judged.iter().map(|_| Mutex::new(ChannelFinding::Good)).collect(),
+            word_findings: judged.iter().map(|_| Mutex::new(WordFindings::NONE)).collect(),
+            pcm: demodulated.iter().map(pcm).collect(),
+            band: filtered.iter().map(|piece| zeros(2 * piece.range.len() * lanes)).collect(),
+            spectra: transformed.iter().map(|piece| zeros(2 * piece.range.len() * lanes)).collect(),
+            drafts: (0..sensors).map(|_| SharedImage::zeros(directions, ranges)).collect(),
+            images: (0..sensors).map(|_| RwLock::new(vec![0.0; directions * ranges])).collect(),
             sums: row_pieces.iter().map(|piece| Mutex::new(vec![RowSums::SILENT; piece.len()])).collect(),
-            band_pass,
+            scratch: (0..threads)
+                .map(|_| {
+                    let samples = (BAND_PIECE - 1) * plan.band_decimation + plan.band_taps.len();
+                    let beams = 2 * sensors * inverse.buffer_len(lanes);
+                    Mutex::new(Scratch {
+                        tile: Aligned::zeros(samples * lanes),
+                        windows: vec![[0; WORD_CHANNELS]; if pdm { bit_filter.window_count(PDM_PIECE) } else { 0 }],
+                        transforms: Aligned::zeros(beams.max(forward.buffer_len(lanes))),
+                        phases: Aligned::zeros(delay_and_sum::scratch_len(channels_max(&plan), lanes)),
+                        square: Aligned::zeros(lanes * lanes),
+                        energies: Aligned::zeros(row_runs.scratch_len()),
+                    })
+                })
+                .collect(),
+            bit_filter,
             forward,
             inverse,
-            groups,
-            first_channel,
+            row_runs,
             row_pieces,
-            raw_pieces,
+            judged,
+            demodulated,
+            filtered,
+            transformed,
             plan,
             masks,
         }
     }
 
-    /// Sets what is to be done: the sensors, and `gains[sensor][channel]`.
-    pub(super) fn begin<'a>(&self, active: [bool; SENSORS_MAX], gains: impl Iterator<Item = &'a [f32]>) {
+    /// Lends the samples of the active sensors to the threads.
+    pub(super) fn lend<'a>(&self, active: [bool; SENSORS_MAX], samples: impl Iterator<Item = &'a Arc<Samples>>) {
         let mut job = writing(&self.job);
-        let job = &mut *job;
         job.active = active;
-        for (own, gains) in job.gains.iter_mut().zip(gains) {
-            own.copy_from_slice(gains);
+        for ((own, samples), active) in job.samples.iter_mut().zip(samples).zip(active) {
+            *own = active.then(|| Arc::clone(samples));
         }
-        for (index, (group, GroupJob { sensors, channels })) in self.groups.iter().zip(&mut job.groups).enumerate() {
-            sensors.clear();
-            sensors.extend(group.sensors.iter().filter(|&&sensor| active[sensor]));
-            for (place, sensor) in sensors.iter().enumerate() {
-                job.place[*sensor] = (index, place);
+    }
+
+    /// Ends the loan.
+    pub(super) fn give_back(&self) {
+        writing(&self.job).samples = [const { None }; SENSORS_MAX];
+    }
+
+    /// Sets `gains[sensor][channel]`.
+    pub(super) fn set_gains<'a>(&self, gains: impl Iterator<Item = &'a [f32]>) {
+        for (blocks, gains) in writing(&self.job).gains.iter_mut().zip(gains) {
+            for (block, gains) in blocks.iter_mut().zip(gains.chunks(self.lanes)) {
+                block[..gains.len()].copy_from_slice(gains);
             }
-            channels.clear();
-            let used = |channel: &usize| sensors.iter().any(|&sensor| job.gains[sensor][*channel] != 0.0);
-            channels.extend((0..group.steering.channel_count()).filter(used));
         }
     }
 
@@ -334,6 +281,21 @@ impl Work {
                 return;
             }
             task(index);
+        }
+    }
+
+    /// Finished drafts become images, by exchange. False when a thread still holds a row.
+    pub(super) fn finish_images(&self) -> bool {
+        let active = reading(&self.job).active;
+        let pairs = self.drafts.iter().zip(&self.images).zip(active).filter(|(_, active)| *active);
+        pairs.fold(true, |all, ((draft, image), _)| draft.exchange(&mut writing(image)) && all)
+            && !self.conflict.load(Ordering::Acquire)
+    }
+
+    /// Copies the sums of all rows to `sums`.
+    pub(super) fn copy_sums(&self, sums: &mut [RowSums]) {
+        for (rows, piece) in self.row_pieces.iter().zip(&self.sums) {
+            sums[rows.clone()].copy_from_slice(&locked(piece));
         }
     }
 }

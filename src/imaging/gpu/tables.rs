@@ -223,7 +223,9 @@ impl MaskEntries {
         let range_entry = |sensor: usize, range: usize| {
             let range_m = grid.range_m(range);
             let (gain, floor) = (value(&masks.gains, sensor, range, 1.0), value(&masks.floors, sensor, range, 0.0));
-            [gain, floor, (1.0 / (range_m * range_m)) as f32, range_m.sqrt() as f32]
+            // Range zero has no side; the flow layer masks it nowhere.
+            let turn = if range_m > 0.0 { range_m.powi(-2) } else { 0.0 };
+            [gain, floor, turn as f32, range_m.sqrt() as f32]
         };
         Ok(Self {
             entries: masks.cells.iter().zip(&masks.sides).zip(&masks.distances_m).map(entry).collect(),
