@@ -106,6 +106,21 @@ fn product(a: &[f32], b: &[f32]) -> f32 {
     sums.iter().sum::<f32>() + rest
 }
 
+/// Sum of the taps, each with the sign of its word's bit of a channel: a one keeps it, a zero turns it.
+fn sum_of_bits(taps: &[f32], words: &[u32], channel: usize) -> f32 {
+    let signed = |tap: f32, word: u32| f32::from_bits(tap.to_bits() ^ (!word >> channel & 1) << 31);
+    let mut sums = [0.0_f32; LANES];
+    let (tap_chunks, word_chunks) = (taps.chunks_exact(LANES), words.chunks_exact(LANES));
+    let odd = tap_chunks.remainder().iter().zip(word_chunks.remainder());
+    let rest: f32 = odd.map(|(tap, word)| signed(*tap, *word)).sum();
+    for (taps, words) in tap_chunks.zip(word_chunks) {
+        for lane in 0..LANES {
+            sums[lane] += signed(taps[lane], words[lane]);
+        }
+    }
+    sums.iter().sum::<f32>() + rest
+}
+
 /// Demodulates the start of one channel; `false` where the ping is too short.
 fn read_start(plan: &ImagingPlan, samples: &Samples, channel: usize, start: &mut [f32]) -> bool {
     let offset = channel * plan.raw_count;
@@ -126,12 +141,10 @@ fn read_start(plan: &ImagingPlan, samples: &Samples, channel: usize, start: &mut
                 return false;
             }
             for (index, sample) in start.iter_mut().enumerate() {
-                let first = (index * plan.decimation) as i64 - half as i64;
-                *sample = plan.demodulation_taps.iter().enumerate().fold(0.0, |sum, (tap_index, tap)| {
-                    let word = usize::try_from(first + tap_index as i64).ok().and_then(|index| words.get(index));
-                    let bit = word.map_or(0.0, |word| if (word >> channel) & 1 == 1 { *tap } else { -*tap });
-                    sum + bit
-                });
+                let centre = index * plan.decimation;
+                // Taps before the first word see nothing.
+                let taps = &plan.demodulation_taps[half.saturating_sub(centre)..];
+                *sample = sum_of_bits(taps, &words[centre.saturating_sub(half)..][..taps.len()], channel);
             }
         }
     }
@@ -201,6 +214,28 @@ mod tests {
         let noise_alone = correlation(heard(&sensor, 0.0, 0.5));
         assert!(noise_alone < 0.5 * HEARD_MIN, "noise reads {noise_alone}");
         assert_eq!(correlation(vec![0.0; 32 * 16_384]), 0.0, "silence is no direct path");
+    }
+
+    #[test]
+    fn words_are_demodulated_as_the_definition_says_from_the_first_on() {
+        let plan = plan(&sensor(), SampleFormat::Pdm);
+        let word = |n: usize| (n as u32 + 1).wrapping_mul(2_654_435_761).rotate_left(n as u32 % 29);
+        let words: Vec<u32> = (0..plan.raw_count).map(word).collect();
+        let samples = Samples::Pdm(words.clone());
+        let mut start = vec![0.0; 700];
+        for channel in [0, 7, 31] {
+            assert!(read_start(&plan, &samples, channel, &mut start));
+            for (index, sample) in start.iter().enumerate() {
+                let tapped = |(tap, value): (usize, &f32)| {
+                    let place = index * plan.decimation + tap;
+                    let word = place.checked_sub(plan.demodulation_taps.len() / 2).map(|place| words[place]);
+                    word.map_or(0.0, |word| f64::from(*value) * if word >> channel & 1 == 1 { 1.0 } else { -1.0 })
+                };
+                let truth: f64 = plan.demodulation_taps.iter().enumerate().map(tapped).sum();
+                // The taps' magnitudes sum to 1.1: rounding of 95 single-precision sums.
+                assert!((f64::from(*sample) - truth).abs() < 1e-6, "sample {index}: {sample} for {truth}");
+            }
+        }
     }
 
     #[test]

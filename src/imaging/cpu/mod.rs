@@ -92,7 +92,9 @@ impl CpuBackend {
     /// If the pings do not fit the plan, or a thread failed.
     pub(super) fn judge(&mut self, pings: &PingSet, reports: &mut [ChannelReport]) -> Result<(), BackendError> {
         check_pings(&self.work.plan, pings)?;
-        self.work.lend(pings.present, pings.pings.iter().map(|ping| &ping.samples));
+        if !self.work.lend(pings.present, pings.pings.iter().map(|ping| &ping.samples)) {
+            return Err(hung());
+        }
         let judged = self.phase(Phase::Judge);
         self.work.give_back();
         judged?;
@@ -128,8 +130,10 @@ impl CpuBackend {
         active: [bool; SENSORS_MAX],
         last: Stage,
     ) -> Result<(), BackendError> {
-        self.work.lend(active, pings.pings.iter().map(|ping| &ping.samples));
-        self.work.set_gains(image.channels.iter().map(|report| &report.gains[..]));
+        let lent = self.work.lend(active, pings.pings.iter().map(|ping| &ping.samples));
+        if !(lent && self.work.set_gains(image.channels.iter().map(|report| &report.gains[..]))) {
+            return Err(hung());
+        }
         let done = self.stages(last);
         self.work.give_back();
         done
@@ -170,6 +174,10 @@ impl CpuBackend {
         }
         Ok(())
     }
+}
+
+fn hung() -> BackendError {
+    BackendError::Cpu("a thread of the CPU backend hangs".to_owned())
 }
 
 /// Refuses a table whose cells or sensors lie outside the plan's images.

@@ -16,7 +16,7 @@ use crate::imaging::plan::ImagingPlan;
 use crate::signal::{MaskTable, RowSums, SENSORS_MAX, SampleFormat, Samples};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
 
 /// Outputs of one piece of PDM demodulation.
 const PDM_PIECE: usize = 512;
@@ -245,27 +245,45 @@ impl Work {
         }
     }
 
-    /// Lends the samples of the active sensors to the threads.
-    pub(super) fn lend<'a>(&self, active: [bool; SENSORS_MAX], samples: impl Iterator<Item = &'a Arc<Samples>>) {
-        let mut job = writing(&self.job);
+    /// The job, to be changed between phases; `None` while a thread still works on it, which only one that hangs does.
+    fn change_job(&self) -> Option<RwLockWriteGuard<'_, Job>> {
+        match self.job.try_write() {
+            Ok(job) => Some(job),
+            Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => None,
+        }
+    }
+
+    /// Lends the samples of the active sensors to the threads. False when one of them hangs.
+    pub(super) fn lend<'a>(
+        &self,
+        active: [bool; SENSORS_MAX],
+        samples: impl Iterator<Item = &'a Arc<Samples>>,
+    ) -> bool {
+        let Some(mut job) = self.change_job() else { return false };
         job.active = active;
         for ((own, samples), active) in job.samples.iter_mut().zip(samples).zip(active) {
             *own = active.then(|| Arc::clone(samples));
         }
+        true
     }
 
-    /// Ends the loan.
+    /// Ends the loan; a thread that hangs keeps its own, and whoever fills the buffer next gets a new one.
     pub(super) fn give_back(&self) {
-        writing(&self.job).samples = [const { None }; SENSORS_MAX];
+        if let Some(mut job) = self.change_job() {
+            job.samples = [const { None }; SENSORS_MAX];
+        }
     }
 
-    /// Sets `gains[sensor][channel]`.
-    pub(super) fn set_gains<'a>(&self, gains: impl Iterator<Item = &'a [f32]>) {
-        for (blocks, gains) in writing(&self.job).gains.iter_mut().zip(gains) {
+    /// Sets `gains[sensor][channel]`. False when a thread hangs.
+    pub(super) fn set_gains<'a>(&self, gains: impl Iterator<Item = &'a [f32]>) -> bool {
+        let Some(mut job) = self.change_job() else { return false };
+        for (blocks, gains) in job.gains.iter_mut().zip(gains) {
             for (block, gains) in blocks.iter_mut().zip(gains.chunks(self.lanes)) {
                 block[..gains.len()].copy_from_slice(gains);
             }
         }
+        true
     }
 
     /// Makes the tasks of the next phase available.
