@@ -86,11 +86,12 @@ fn a_tie_follows_the_wanted_turn_then_the_last_side_then_left() {
 fn the_side_is_held_until_the_region_is_clear() {
     let mut bench = Bench::new(|_| {});
     bench.cues.collision = cue(1.0, 0.0, 0.1, 1);
-    bench.settle(FORWARD);
+    let steps = |bench: &mut Bench| (0..9).map(|_| bench.step(FORWARD)).last().unwrap();
+    steps(&mut bench);
     bench.cues.collision = cue(1.0, 0.0, 0.1, -1);
-    near(bench.settle(FORWARD).velocity.angular_rad_s, -0.5);
+    near(steps(&mut bench).velocity.angular_rad_s, -0.5);
     bench.cues.collision = cue(0.2, 0.0, 0.1, -1);
-    near(bench.settle(FORWARD).velocity.angular_rad_s, -0.5); // between release and threshold
+    near(steps(&mut bench).velocity.angular_rad_s, -0.5); // between release and threshold
     bench.cues.collision = LayerCue::default();
     assert_eq!(bench.settle(FORWARD).layer, LayerName::PassThrough);
     bench.cues.collision = cue(1.0, 0.0, 0.1, -1);

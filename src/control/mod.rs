@@ -7,6 +7,7 @@
 mod approach;
 mod collision_avoidance;
 mod corridor_following;
+mod corridor_law;
 pub mod default_regions;
 mod detour;
 mod flow_following;
@@ -37,6 +38,8 @@ use std::time::Duration;
 pub const MAX_AGE: Duration = Duration::from_millis(300);
 /// What is heard this near to the footprint during a detour belongs to the obstacle that is being passed.
 const DETOUR_REACH_M: f64 = 0.5;
+/// How much faster than collision avoidance turns the robot turns out of where it is stuck: it stands, and has stood for long enough.
+const WAY_OUT_HASTE: f64 = 2.0;
 /// How far in the future a stamp may lie.
 const FUTURE_MAX: Duration = Duration::from_millis(50);
 
@@ -128,8 +131,9 @@ impl Controller {
         let decel_m_s2 = self.platform.max_linear_accel_m_s2;
         self.approach.observe(cues, &self.progress.pose(), self.last, decel_m_s2, elapsed_s);
         let approaching = self.approach.is_seen();
+        let avoids = self.avoided.is_some() || (self.progress.turns_out() && !is_clear);
         // Who walks does not stay there.
-        let avoided = cues.collision.nearest.filter(|_| self.avoided.is_some() && !approaching);
+        let avoided = cues.collision.nearest.filter(|_| avoids && !approaching);
         let beside = cues.obstacle.nearest.filter(|nearest| {
             self.detour.is_under_way() && nearest.distance_m <= DETOUR_REACH_M && self.obstacle_is_heard(cues)
         });
@@ -177,7 +181,8 @@ impl Controller {
             let loud_left = situation.cues.collision.turn + situation.cues.obstacle.turn;
             // Equally loud on both sides: the way that is wanted, else left.
             let aside = if loud_left == 0.0 { situation.asked_rad_s } else { -f64::from(loud_left) };
-            self.progress.way_out(situation.wanted, if aside < 0.0 { -1.0 } else { 1.0 })
+            let known = self.detour.way_out(&self.progress.pose(), situation.asked_rad_s);
+            self.progress.way_out(situation.wanted, known, if aside < 0.0 { -1.0 } else { 1.0 })
         });
         let mut acting: Option<(LayerName, LayerOutput)> = None;
         for layer in &mut self.layers {
@@ -205,8 +210,9 @@ impl Controller {
 
     fn turn_on_the_spot(&self, cues: &Cues, turn: f64) -> LayerOutput {
         let params = &self.params.collision_avoidance;
+        let omega_rad_s = WAY_OUT_HASTE * params.omega_rad_s;
         LayerOutput {
-            velocity: Velocity { linear_m_s: 0.0, angular_rad_s: turn * params.omega_rad_s },
+            velocity: Velocity { linear_m_s: 0.0, angular_rad_s: turn * omega_rad_s },
             cause: layer::region_cause(&cues.collision, cues.collision.energy, params.threshold),
         }
     }

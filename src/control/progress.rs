@@ -25,8 +25,8 @@ const CORNER_MAX_RAD: f64 = 2.0 * PI;
 const NEW_HEADING_S: f64 = 1.5;
 /// Silent ping sets in a row that end a turn out of a corner before its time.
 const CLEAR_COUNT_MIN: u32 = 3;
-/// What collision avoidance may turn before it counts as stuck: what was ahead is then well behind.
-const AVOIDING_MAX_RAD: f64 = 2.6;
+/// What collision avoidance may turn before it counts as stuck: what was ahead is then abeam, so something else is near.
+const AVOIDING_MAX_RAD: f64 = 1.6;
 /// What counts as progress while nothing but turning is asked for.
 const TURNED_MIN_RAD: f64 = 0.5;
 
@@ -185,17 +185,24 @@ impl Progress {
         self.escape.is_some() || (self.params.enabled && (self.is_cornered() || self.is_late()))
     }
 
-    /// Turned away again and again, and each time back into it.
+    /// Turned away again and again, and each time back into it; or so far that there is more than what was turned away from.
     fn is_cornered(&self) -> bool {
-        self.avoidance_count >= AVOIDANCES_MAX
+        let turned_far = self.avoided.is_some() && self.turned_away_rad >= AVOIDING_MAX_RAD;
+        self.avoidance_count >= AVOIDANCES_MAX || turned_far
     }
 
     fn is_late(&self) -> bool {
         !self.turns_away && self.since_progress_s >= self.params.time_s
     }
 
-    /// What a stuck robot does now. `preferred` is the side of the first turn after progress, +1 or -1.
-    pub(super) fn way_out(&mut self, wanted: Velocity, preferred: f64) -> WayOut {
+    /// Whether a turn on the spot out of it is under way.
+    pub(super) fn turns_out(&self) -> bool {
+        matches!(self.escape, Some(Escape::Turn { .. }))
+    }
+
+    /// What a stuck robot does now. `known` is the side, +1 or -1, on which the places that were avoided leave a way out, `quieter`
+    /// that of the first turn after progress where there is none.
+    pub(super) fn way_out(&mut self, wanted: Velocity, known: Option<f64>, quieter: f64) -> WayOut {
         match self.escape {
             Some(Escape::LetGo { .. }) => return WayOut::LetGo,
             Some(Escape::Turn { turn, .. }) => return WayOut::Turn(turn),
@@ -208,7 +215,8 @@ impl Progress {
             return WayOut::LetGo;
         }
         let turn = match (self.turn_count, self.avoidance_count) {
-            (0, 0 | 1) => preferred,
+            (0, 1..) if known.is_some() => known.unwrap_or(quieter),
+            (0, 0 | 1) => quieter,
             // A long turn is not taken back.
             (0, _) if self.turned_away_rad >= LONG_TURN_RAD => self.avoidance_turn,
             // Away from the nearest reflection did not help, however often.
