@@ -24,8 +24,10 @@ const SKEW_TURN_S: f64 = 0.5;
 const SKEW_SHARE_MIN: f64 = 0.1;
 /// Shortest way that a skew is taken from.
 const WAY_MIN_M: f64 = 0.01;
-/// Way for which the width is remembered after both walls were heard last.
-const KEPT_M: f64 = 1.0;
+/// Way for which the width is remembered after both walls were heard last: about what it takes to get to the middle.
+const KEPT_M: f64 = 3.0;
+/// A wanted turn that is faster says more than a wall that is not heard: it may lead out of the corridor.
+const ASKED_MAX_RAD_S: f64 = 0.1;
 
 /// The law's memory.
 #[derive(Debug, Clone)]
@@ -78,11 +80,12 @@ impl CorridorLaw {
     }
 
     /// Both walls of the corridor that was followed lately, from the one that is heard: its distance, and that of the other by the
-    /// corridor's width. `None` when it is another wall or the corridor was left too long ago.
-    pub(super) fn completed_m(&self, heard_m: f64, linear_m_s: f64) -> Option<[f64; 2]> {
-        let [left_m, right_m] = self.walls_m.filter(|_| self.alone_m <= KEPT_M)?;
+    /// corridor's width. `None` when it is another wall, a turn is wanted or the corridor was left too long ago.
+    pub(super) fn completed_m(&self, heard_m: f64, wanted: Velocity) -> Option<[f64; 2]> {
+        let is_kept = self.alone_m <= KEPT_M && wanted.angular_rad_s.abs() <= ASKED_MAX_RAD_S;
+        let [left_m, right_m] = self.walls_m.filter(|_| is_kept)?;
         let before_m = if heard_m > 0.0 { left_m } else { right_m };
-        let same = (heard_m - before_m).abs() <= SAME_WALL_M + linear_m_s.abs() * self.elapsed_s;
+        let same = (heard_m - before_m).abs() <= SAME_WALL_M + wanted.linear_m_s.abs() * self.elapsed_s;
         let width_m = left_m - right_m;
         let walls_m = if heard_m > 0.0 { [heard_m, heard_m - width_m] } else { [heard_m + width_m, heard_m] };
         same.then_some(walls_m)

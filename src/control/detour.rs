@@ -225,6 +225,27 @@ mod tests {
     }
 
     #[test]
+    fn the_way_out_is_the_nearer_one_unless_it_leads_away_from_what_is_wanted() {
+        let way_out = |places_m: &[(f64, f64)], asked_rad_s: f64| {
+            let mut detour = Detour::new(0.4, 0.2);
+            for (x_m, y_m) in places_m {
+                detour.observe(&at(0.0, 0.0, 0.0), [Some(Vector2::new(*x_m, *y_m)), None], 0.1);
+            }
+            detour.way_out(&at(0.0, 0.0, 0.0), asked_rad_s)
+        };
+        // A box seen to the right: 20 deg to the left pass it, 110 deg to the right.
+        for asked_rad_s in [0.5, 0.0, -0.5] {
+            assert_eq!(way_out(&[(0.4, -0.3), (0.5, -0.2)], asked_rad_s), Some(1.0));
+            assert_eq!(way_out(&[(0.4, 0.3), (0.5, 0.2)], asked_rad_s), Some(-1.0));
+        }
+        // A wedge: 90 deg to the left, 108 deg to the right.
+        let wedge_m = [(0.33, 0.43), (0.31, -0.39)];
+        assert_eq!(way_out(&wedge_m, 0.0), way_out(&wedge_m, 0.5));
+        assert_eq!([way_out(&wedge_m, 0.5), way_out(&wedge_m, -0.5)], [Some(1.0), Some(-1.0)]);
+        assert_eq!(way_out(&[], 0.5), None);
+    }
+
+    #[test]
     fn more_places_than_fit_push_out_the_oldest_and_nonsense_is_not_kept() {
         let mut detour = after_a_box_ahead();
         detour.observe(&at(0.0, 0.0, 0.0), [Some(Vector2::new(f64::NAN, 0.0)), None], 0.1);

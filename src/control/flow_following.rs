@@ -100,7 +100,7 @@ impl FlowFollowing {
 
     /// The walls of the corridor, which of them is the weaker, and whether both are heard: those heard, or, for a while, one of them
     /// and the width.
-    fn corridor_walls(&self, walls: &WallPeaks, linear_m_s: f64) -> Option<([f64; 2], f64, bool)> {
+    fn corridor_walls(&self, walls: &WallPeaks, wanted: Velocity) -> Option<([f64; 2], f64, bool)> {
         match self.corridor_sides(walls, self.released(self.params.threshold_corridor)) {
             [Some(left), Some(right)] if self.corridor.is_on() => {
                 Some(([left.lateral_m, right.lateral_m], left.strength.min(right.strength), true))
@@ -108,7 +108,7 @@ impl FlowFollowing {
             [one, other] => [one, other]
                 .into_iter()
                 .flatten()
-                .find_map(|wall| Some((self.law.completed_m(wall.lateral_m, linear_m_s)?, wall.strength, false))),
+                .find_map(|wall| Some((self.law.completed_m(wall.lateral_m, wanted)?, wall.strength, false))),
         }
     }
 }
@@ -136,13 +136,13 @@ impl BehaviourLayer for FlowFollowing {
         let (single_fires, single_holds) = (any(single), any(single_hold));
         let in_corridor = self.corridor.update(corridor_fires, corridor_holds);
         let along_wall = self.single.update(single_fires, single_holds);
-        in_corridor || along_wall || self.corridor_walls(walls, situation.wanted.linear_m_s).is_some()
+        in_corridor || along_wall || self.corridor_walls(walls, situation.wanted).is_some()
     }
 
     fn act(&mut self, situation: &Situation) -> LayerOutput {
         let (walls, wanted) = (&situation.cues.walls, situation.wanted);
         let single_hold = self.released(self.params.threshold_single);
-        let (turn_rad_s, energy, threshold) = match self.corridor_walls(walls, wanted.linear_m_s) {
+        let (turn_rad_s, energy, threshold) = match self.corridor_walls(walls, wanted) {
             Some((walls_m, strength, heard)) => {
                 self.previous_wall_m = None;
                 let turn_rad_s = self.law.rate_rad_s(walls_m, heard, wanted.linear_m_s);
