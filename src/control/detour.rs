@@ -2,7 +2,7 @@
 //!
 //! Goes in: the nearest reflection of the CA region while CA acts, then also that of the OA region, since that shows how wide the
 //! obstacle is; and the robot's pose (odometry, or the commands added up).
-//! Comes out: the wanted velocity, without a turn that would lead back into it. A sensor that looks ahead does not hear what
+//! Comes out: the wanted velocity, without a turn that would lead back into it, and the nearer way out from between such places. A sensor that looks ahead does not hear what
 //! is abeam any more, and a guidance that knows no obstacle turns back at once: without a memory the robot stands before a
 //! box for ever. Places are kept for a few metres and seconds only, since odometry drifts and people walk on. Never turns or
 //! speeds up the robot by itself.

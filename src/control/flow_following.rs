@@ -3,7 +3,8 @@
 //! Goes in: walls found along flow lines, with signed lateral distances (left positive). One wall:
 //! omega_i + lambda (d_s - d_p), d_p its distance one activation ago. Two: omega_i + lambda (d_l + d_r) + lambda_d times the
 //! filtered rate of that sum; the paper's eq. 16 has unsigned distances and no damping, with which the delay of a ping
-//! makes the robot swing ever wider (specification, section 5). V = V_i.
+//! makes the robot swing ever wider (specification, section 5). How steep the way to the middle may be, and that a corridor is not
+//! forgotten with the first wall that falls silent, is told in [`super::corridor_law`]. V = V_i.
 
 use super::corridor_law::{CorridorLaw, SAME_WALL_M};
 use super::layer::{BehaviourLayer, Hysteresis, LayerOutput, Situation};
@@ -98,17 +99,18 @@ impl FlowFollowing {
         self.params.lambda * (drift_m + missing_m)
     }
 
-    /// The walls of the corridor, which of them is the weaker, and whether both are heard: those heard, or, for a while, one of them
+    /// The walls of the corridor, the strength of the weaker, and whether both are heard: those heard, or, for a while, one of them
     /// and the width.
     fn corridor_walls(&self, walls: &WallPeaks, wanted: Velocity) -> Option<([f64; 2], f64, bool)> {
-        match self.corridor_sides(walls, self.released(self.params.threshold_corridor)) {
-            [Some(left), Some(right)] if self.corridor.is_on() => {
-                Some(([left.lateral_m, right.lateral_m], left.strength.min(right.strength), true))
+        let sides = self.corridor_sides(walls, self.released(self.params.threshold_corridor));
+        let completed = |wall: &WallPeak| Some((self.law.completed_m(wall.lateral_m, wanted)?, wall.strength, false));
+        let [left, right] = sides.map(|side| side.and_then(completed));
+        match sides {
+            // Those of the corridor that was followed a moment ago need not be found anew.
+            [Some(one), Some(other)] if self.corridor.is_on() || (left.is_some() && right.is_some()) => {
+                Some(([one.lateral_m, other.lateral_m], one.strength.min(other.strength), true))
             }
-            [one, other] => [one, other]
-                .into_iter()
-                .flatten()
-                .find_map(|wall| Some((self.law.completed_m(wall.lateral_m, wanted)?, wall.strength, false))),
+            _ => left.or(right),
         }
     }
 }

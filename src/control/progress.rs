@@ -4,7 +4,8 @@
 //! Comes out: whether the robot is stuck, and then what to do about it. Where a turn is wanted the layers below CA probably hold
 //! it back, each with good reason, so the first thing is to let the wanted velocity pass for a while; CA goes on guarding it.
 //! The other is a turn on the spot, which is safe wherever the robot can stand: a round footprint covers the same ground while
-//! it turns. Each further turn without progress is half as long again as the first, up to half a turn, and to the other side.
+//! it turns. Out of a corner it goes first to the side where the places that were avoided leave the nearer way out, and ends where
+//! nothing is near. Each further turn without progress is half as long again as the first, up to half a turn, and to the other side.
 
 use super::params::StuckParams;
 use crate::geometry::{Pose2, wrap_angle_rad};
@@ -214,15 +215,15 @@ impl Progress {
             self.escape = Some(Escape::LetGo { left_s: LET_GO_S });
             return WayOut::LetGo;
         }
-        let turn = match (self.turn_count, self.avoidance_count) {
-            (0, 1..) if known.is_some() => known.unwrap_or(quieter),
+        let known = known.filter(|_| self.turn_count == 0 && self.avoidance_count > 0);
+        let turn = known.unwrap_or(match (self.turn_count, self.avoidance_count) {
             (0, 0 | 1) => quieter,
             // A long turn is not taken back.
             (0, _) if self.turned_away_rad >= LONG_TURN_RAD => self.avoidance_turn,
             // Away from the nearest reflection did not help, however often.
             (0, _) => -self.avoidance_turn,
             _ => -self.last_turn,
-        };
+        });
         let first_rad = self.params.escape_turn_deg.to_radians();
         let longer = 1.0 + 0.5 * f64::from(self.turn_count.min(4));
         // Out of a corner the turn ends where nothing is near; else where its angle ends.
