@@ -179,7 +179,9 @@ fn a_near_tie_is_not_turned_back_to_what_was_avoided() {
             assert!(bench.step_with(wanted, here).velocity.angular_rad_s < 0.0);
             bench.step_with(wanted, here);
             bench.cues.collision = LayerCue::default();
-            (0..4).for_each(|_| drop(bench.step_with(wanted, here)));
+            for _ in 0..4 {
+                bench.step_with(wanted, here);
+            }
         }
         bench.cues.collision = cue(1.0, 0.0, 0.1, -1);
         bench.cues.collision.nearest =
@@ -199,7 +201,9 @@ fn a_turn_away_that_finds_no_end_is_a_corner() {
     let turning = (0..100).take_while(|_| !drive(&mut bench, &mut pose, FORWARD).stuck).count();
     // 1.6 rad at 0.5 rad/s, and one step to speed up.
     assert!((32..=35).contains(&turning), "{turning} steps");
-    (0..3).for_each(|_| drop(drive(&mut bench, &mut pose, FORWARD)));
+    for _ in 0..3 {
+        drive(&mut bench, &mut pose, FORWARD);
+    }
     let decision = drive(&mut bench, &mut pose, FORWARD);
     assert_eq!((decision.velocity.linear_m_s, decision.velocity.angular_rad_s.abs()), (0.0, 1.0));
 }

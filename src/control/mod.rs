@@ -38,7 +38,7 @@ use std::time::Duration;
 pub const MAX_AGE: Duration = Duration::from_millis(300);
 /// What is heard this near to the footprint during a detour belongs to the obstacle that is being passed.
 const DETOUR_REACH_M: f64 = 0.5;
-/// How much faster than collision avoidance turns the robot turns out of where it is stuck: it stands, and has stood for long enough.
+/// How much faster than CA turns the robot turns out of a corner, while CA would fire: it stands, and has stood for long enough.
 const WAY_OUT_HASTE: f64 = 2.0;
 /// How far in the future a stamp may lie.
 const FUTURE_MAX: Duration = Duration::from_millis(50);
@@ -126,7 +126,8 @@ impl Controller {
         let wanted = limits::within_platform(wanted, &self.platform);
         let collision = f64::from(cues.collision.energy);
         let is_clear = !layer::is_above(collision, self.params.collision_avoidance.release);
-        let avoidance = Avoidance { turn: self.avoided, is_clear };
+        let is_loud = layer::is_above(collision, self.params.collision_avoidance.threshold);
+        let avoidance = Avoidance { turn: self.avoided, is_clear, is_loud };
         self.progress.observe(odometry, self.last, wanted, &avoidance, elapsed_s);
         let decel_m_s2 = self.platform.max_linear_accel_m_s2;
         self.approach.observe(cues, &self.progress.pose(), self.last, decel_m_s2, elapsed_s);
@@ -210,7 +211,9 @@ impl Controller {
 
     fn turn_on_the_spot(&self, cues: &Cues, turn: f64) -> LayerOutput {
         let params = &self.params.collision_avoidance;
-        let omega_rad_s = WAY_OUT_HASTE * params.omega_rad_s;
+        // A way out may be narrow: no haste where one may be.
+        let is_loud = layer::is_above(f64::from(cues.collision.energy), params.threshold);
+        let omega_rad_s = if is_loud { WAY_OUT_HASTE * params.omega_rad_s } else { params.omega_rad_s };
         LayerOutput {
             velocity: Velocity { linear_m_s: 0.0, angular_rad_s: turn * omega_rad_s },
             cause: layer::region_cause(&cues.collision, cues.collision.energy, params.threshold),

@@ -5,8 +5,9 @@
 //! it back, each with good reason, so the first thing is to let the wanted velocity pass for a while; CA goes on guarding it.
 //! The other is a turn on the spot, which is safe wherever the robot can stand: a round footprint covers the same ground while
 //! it turns. Out of a corner it goes first to the side where the places that were avoided leave the nearer way out, and ends where
-//! nothing is near. Each further turn without progress is half as long again as the first, up to half a turn, and to the other side.
+//! nothing is near and driving is wanted. Each further turn without progress is half as long again as the first, up to half a turn, and to the other side.
 
+use super::layer::is_driving;
 use super::params::StuckParams;
 use crate::geometry::{Pose2, wrap_angle_rad};
 use crate::signal::Velocity;
@@ -55,8 +56,9 @@ pub(super) enum WayOut {
 pub(super) struct Avoidance {
     /// +1 or -1: the side it turned to; `None` if it did not act.
     pub(super) turn: Option<f64>,
-    /// Whether its region is silent.
+    /// Whether its region is silent, and whether it is loud enough to fire.
     pub(super) is_clear: bool,
+    pub(super) is_loud: bool,
 }
 
 /// Watches the robot's progress.
@@ -137,9 +139,12 @@ impl Progress {
             let step_rad = *turn * wrap_angle_rad(self.pose.heading_rad - heading_rad);
             *turned_rad += step_rad;
             *left_rad -= step_rad;
-            self.clear_count = if avoidance.is_clear { self.clear_count.saturating_add(1) } else { 0 };
+            // In a doorway nothing is ever silent: from half a turn on, what would not fire is good enough.
+            let quiet = avoidance.is_clear || (!avoidance.is_loud && *turned_rad >= PI);
+            self.clear_count = if quiet { self.clear_count.saturating_add(1) } else { 0 };
             let silent = self.avoidance_count > 0 && self.clear_count >= CLEAR_COUNT_MIN;
-            let found = silent && *turned_rad >= TURNED_MIN_RAD;
+            // Where no driving is wanted the robot would only be turned back.
+            let found = silent && *turned_rad >= TURNED_MIN_RAD && is_driving(wanted);
             if found || !(*left_rad > 0.0) {
                 self.escape = None;
                 self.restart();
