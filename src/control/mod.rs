@@ -38,7 +38,7 @@ use std::time::Duration;
 pub const MAX_AGE: Duration = Duration::from_millis(300);
 /// What is heard this near to the footprint during a detour belongs to the obstacle that is being passed.
 const DETOUR_REACH_M: f64 = 0.5;
-/// How much faster than CA turns the robot turns out of a corner, while CA would fire: it stands, and has stood for long enough.
+/// How much faster than CA turns the robot turns past where no way leads out: it stands, and has stood for long enough.
 const WAY_OUT_HASTE: f64 = 2.0;
 /// How far in the future a stamp may lie.
 const FUTURE_MAX: Duration = Duration::from_millis(50);
@@ -203,20 +203,21 @@ impl Controller {
             }
         }
         if let Some(WayOut::Turn(turn)) = way_out {
-            return (LayerName::CollisionAvoidance, self.turn_on_the_spot(situation.cues, turn));
+            return (LayerName::CollisionAvoidance, self.turn_on_the_spot(situation, turn));
         }
         let passed_through = LayerOutput { velocity: situation.wanted, cause: Cause::default() };
         acting.unwrap_or((LayerName::PassThrough, passed_through))
     }
 
-    fn turn_on_the_spot(&self, cues: &Cues, turn: f64) -> LayerOutput {
+    fn turn_on_the_spot(&self, situation: &Situation, turn: f64) -> LayerOutput {
         let params = &self.params.collision_avoidance;
+        let cue = &situation.cues.collision;
         // A way out may be narrow: no haste where one may be.
-        let is_loud = layer::is_above(f64::from(cues.collision.energy), params.threshold);
-        let omega_rad_s = if is_loud { WAY_OUT_HASTE * params.omega_rad_s } else { params.omega_rad_s };
+        let may_lead_out = !layer::is_above(f64::from(cue.energy), params.threshold) && situation.is_driving();
+        let omega_rad_s = if may_lead_out { params.omega_rad_s } else { WAY_OUT_HASTE * params.omega_rad_s };
         LayerOutput {
             velocity: Velocity { linear_m_s: 0.0, angular_rad_s: turn * omega_rad_s },
-            cause: layer::region_cause(&cues.collision, cues.collision.energy, params.threshold),
+            cause: layer::region_cause(cue, cue.energy, params.threshold),
         }
     }
 
