@@ -86,11 +86,12 @@ fn a_tie_follows_the_wanted_turn_then_the_last_side_then_left() {
 fn the_side_is_held_until_the_region_is_clear() {
     let mut bench = Bench::new(|_| {});
     bench.cues.collision = cue(1.0, 0.0, 0.1, 1);
-    bench.settle(FORWARD);
+    let steps = |bench: &mut Bench| (0..9).map(|_| bench.step(FORWARD)).last().unwrap();
+    steps(&mut bench);
     bench.cues.collision = cue(1.0, 0.0, 0.1, -1);
-    near(bench.settle(FORWARD).velocity.angular_rad_s, -0.5);
+    near(steps(&mut bench).velocity.angular_rad_s, -0.5);
     bench.cues.collision = cue(0.2, 0.0, 0.1, -1);
-    near(bench.settle(FORWARD).velocity.angular_rad_s, -0.5); // between release and threshold
+    near(steps(&mut bench).velocity.angular_rad_s, -0.5); // between release and threshold
     bench.cues.collision = LayerCue::default();
     assert_eq!(bench.settle(FORWARD).layer, LayerName::PassThrough);
     bench.cues.collision = cue(1.0, 0.0, 0.1, -1);
@@ -265,6 +266,68 @@ fn damping_keeps_the_corridor_law_from_swinging() {
     let undamped = final_swing_m(&mut |y| -2.0 * y);
     assert!(ours < 0.02, "damped: {ours} m");
     assert!(undamped > 0.28, "undamped: {undamped} m");
+}
+
+/// GIVEN flow lines that hear a wall only where it is square to the sensor, WHEN a corridor is begun far off its middle, THEN the
+/// robot does not turn so far askew that a wall is lost, and comes to the middle; the unbounded law loses one (the negative control).
+#[test]
+fn the_way_to_the_middle_is_no_steeper_than_both_walls_are_heard() {
+    const HALF_WIDTH_M: f64 = 1.2;
+    const ABEAM_M: f64 = 0.35;
+    // A ping later; greatest x of a wall's echo, and where the robot is after 30 s.
+    let farthest_echo_m = |law: &mut dyn FnMut(f64, f64) -> f64| {
+        let (mut y, mut heading, mut omega, mut echo_m) = (-0.4f64, 0.0f64, 0.0f64, 0.0f64);
+        for _ in 0..300 {
+            let next = law(y, heading);
+            for _ in 0..10 {
+                heading += omega * 0.01;
+                y += 0.3 * heading.sin() * 0.01;
+            }
+            omega = next;
+            echo_m = echo_m.max((HALF_WIDTH_M + y.abs()) * heading.sin().abs());
+        }
+        (echo_m, y)
+    };
+    let mut bench = Bench::new(|_| {});
+    let (echo_m, y) = farthest_echo_m(&mut |y, heading| {
+        let heard = |wall_m: f64| (wall_m * heading.sin()).abs() <= ABEAM_M;
+        let both = [(HALF_WIDTH_M - y, 1.0), (-HALF_WIDTH_M - y, 0.9)];
+        let found: Vec<_> = both.into_iter().filter(|wall| heard(wall.0)).collect();
+        bench.cues.walls = walls(&found);
+        bench.step(FORWARD).velocity.angular_rad_s
+    });
+    assert!(echo_m < ABEAM_M, "heard up to {echo_m} m ahead of abeam");
+    assert!(y.abs() < 0.02, "{y} m off the middle");
+    let (mut before, damping) = (-0.4, 0.7 * (2.0f64 / 0.3).sqrt());
+    let (unbounded_m, _) = farthest_echo_m(&mut |y, _| {
+        let rate_m_s = (y - std::mem::replace(&mut before, y)) / 0.1;
+        -2.0 * (y + damping * rate_m_s)
+    });
+    assert!(unbounded_m > ABEAM_M, "{unbounded_m}");
+}
+
+/// GIVEN a corridor, WHEN one wall falls silent, THEN the other and the width go on telling the middle, for 3 m of way or until a
+/// turn is wanted.
+#[test]
+fn one_wall_and_the_width_tell_the_middle_for_a_while() {
+    let corridor = || {
+        let mut bench = Bench::new(|_| {});
+        bench.cues.walls = walls(&[(1.2, 1.0), (-1.2, 0.9)]);
+        bench.settle(FORWARD);
+        bench.cues.walls = walls(&[(1.28, 1.0)]);
+        bench
+    };
+    let mut bench = corridor();
+    bench.settle(FORWARD);
+    near(bench.step(FORWARD).velocity.angular_rad_s, 0.16);
+    // 16 steps of 3 cm are driven.
+    let steps = (0..200).take_while(|_| bench.step(FORWARD).velocity.angular_rad_s > 0.1).count();
+    assert!((80..=88).contains(&steps), "{steps}");
+    let turn = Velocity { angular_rad_s: 0.2, ..FORWARD };
+    near(corridor().settle(turn).velocity.angular_rad_s, 0.2);
+    let mut bench = corridor();
+    bench.cues.walls = walls(&[(1.7, 1.0)]);
+    assert!(bench.settle(FORWARD).velocity.angular_rad_s.abs() < 1e-9, "another wall");
 }
 
 /// GIVEN a reflection line within the robot's own width, WHEN it peaks, THEN it is no wall to follow.

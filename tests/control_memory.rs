@@ -163,3 +163,47 @@ fn three_sensors_slow_down_as_one_does() {
     assert!((speed_m_s(1) - 0.15).abs() < 1e-9, "half of E_ref: {}", speed_m_s(1));
     assert!((speed_m_s(3) - speed_m_s(1)).abs() < 1e-9);
 }
+
+/// GIVEN CA that was right to turn right, WHEN it fires again with both sides equally near but for a rounding, THEN it does not turn
+/// back to what it has just avoided, although that is wanted; without a memory of it the wanted side decides.
+#[test]
+fn a_near_tie_is_not_turned_back_to_what_was_avoided() {
+    let second_turn = |avoided: bool| {
+        let mut bench = Bench::new(|_| {});
+        let wanted = Velocity { linear_m_s: 0.3, angular_rad_s: 0.5 };
+        let here = Some(Pose2::default());
+        if avoided {
+            bench.cues.collision = cue(1.0, 0.0, 0.1, 1);
+            let aside = |nearest| NearestReflection { place_m: [0.05, 0.38], ..nearest };
+            bench.cues.collision.nearest = bench.cues.collision.nearest.map(aside);
+            assert!(bench.step_with(wanted, here).velocity.angular_rad_s < 0.0);
+            bench.step_with(wanted, here);
+            bench.cues.collision = LayerCue::default();
+            for _ in 0..4 {
+                bench.step_with(wanted, here);
+            }
+        }
+        bench.cues.collision = cue(1.0, 0.0, 0.1, -1);
+        bench.cues.collision.nearest =
+            bench.cues.collision.nearest.map(|nearest| NearestReflection { lead_m: 0.004, ..nearest });
+        bench.step_with(wanted, here).velocity.angular_rad_s.signum()
+    };
+    assert_eq!([second_turn(true), second_turn(false)], [-1.0, 1.0]);
+}
+
+/// GIVEN CA that has turned by more than a quarter turn and still hears something, WHEN it goes on, THEN the robot counts as stuck and
+/// turns out twice as fast.
+#[test]
+fn a_turn_away_that_finds_no_end_is_a_corner() {
+    let mut bench = Bench::new(|params| params.collision_avoidance.reverse_m_s = 0.0);
+    let mut pose = Pose2::default();
+    bench.cues.collision = cue(1.0, 0.0, 0.1, 1);
+    let turning = (0..100).take_while(|_| !drive(&mut bench, &mut pose, FORWARD).stuck).count();
+    // 1.6 rad at 0.5 rad/s, and one step to speed up.
+    assert!((32..=35).contains(&turning), "{turning} steps");
+    for _ in 0..3 {
+        drive(&mut bench, &mut pose, FORWARD);
+    }
+    let decision = drive(&mut bench, &mut pose, FORWARD);
+    assert_eq!((decision.velocity.linear_m_s, decision.velocity.angular_rad_s.abs()), (0.0, 1.0));
+}

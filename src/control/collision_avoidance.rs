@@ -7,7 +7,7 @@
 use super::default_regions::DEAF_RANGE_M;
 use super::layer::{BehaviourLayer, Hysteresis, LayerOutput, Situation, is_above, region_cause};
 use super::params::CollisionAvoidanceParams;
-use crate::signal::{LayerCue, LayerName, Velocity};
+use crate::signal::{LayerName, Velocity};
 
 /// Nearer by no more than this, with a turn asked for, counts as equally near: c / (2 bandwidth) is 7 mm, and the axis errs a little.
 const RANGE_RESOLUTION_M: f64 = 0.01;
@@ -68,13 +68,16 @@ impl CollisionAvoidance {
 
     /// +1 to turn left, -1 right: away from the nearest reflection; with none, or left and right equally near, the way that
     /// the wanted velocity turns, else the way turned last, else left.
-    fn choose_turn(&self, cue: &LayerCue, asked_rad_s: f64) -> f64 {
+    fn choose_turn(&self, situation: &Situation) -> f64 {
+        let asked_rad_s = situation.asked_rad_s;
         let asked = (asked_rad_s != 0.0).then(|| asked_rad_s.signum());
-        match cue.nearest.filter(|nearest| nearest.side != 0) {
+        match situation.cues.collision.nearest.filter(|nearest| nearest.side != 0) {
             // A wall ahead need not be square to be as near on the left as on the right.
             Some(nearest) if asked.is_none() || !(nearest.lead_m <= RANGE_RESOLUTION_M) => {
                 -f64::from(nearest.side.signum())
             }
+            // The detour holds back a turn to what was avoided a moment ago; there is no better reason for a side.
+            Some(_) if situation.wanted.angular_rad_s == 0.0 => -asked_rad_s.signum(),
             _ => asked.or(self.last_turn).unwrap_or(1.0),
         }
     }
@@ -126,7 +129,7 @@ impl BehaviourLayer for CollisionAvoidance {
         let on = self.switch.update(is_above(energy, self.params.threshold), holds);
         self.run = if on && holds { self.run.saturating_add(1) } else { 0 };
         if on && !was_on {
-            self.held_turn = Some(self.choose_turn(&situation.cues.collision, situation.asked_rad_s));
+            self.held_turn = Some(self.choose_turn(situation));
             self.last_turn = self.held_turn;
         } else if !on {
             self.held_turn = None;

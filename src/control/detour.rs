@@ -2,7 +2,7 @@
 //!
 //! Goes in: the nearest reflection of the CA region while CA acts, then also that of the OA region, since that shows how wide the
 //! obstacle is; and the robot's pose (odometry, or the commands added up).
-//! Comes out: the wanted velocity, without a turn that would lead back into it. A sensor that looks ahead does not hear what
+//! Comes out: the wanted velocity, without a turn that would lead back into it, and the nearer way out from between such places. A sensor that looks ahead does not hear what
 //! is abeam any more, and a guidance that knows no obstacle turns back at once: without a memory the robot stands before a
 //! box for ever. Places are kept for a few metres and seconds only, since odometry drifts and people walk on. Never turns or
 //! speeds up the robot by itself.
@@ -12,7 +12,7 @@ use super::layer::is_driving;
 use crate::geometry::Pose2;
 use crate::signal::Velocity;
 use nalgebra::Vector2;
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Places kept at a time.
 const PLACES_MAX: usize = 12;
@@ -25,6 +25,10 @@ const KEPT_S_M: f64 = 10.0;
 const KEPT_M: f64 = 1.5;
 /// How steeply the way leads out where a place is nearer than half the lane: the angle at no distance at all.
 const OUTWARD_RAD: f64 = 1.0;
+/// Directions that are tried for a way out, and how much farther one counts that lies against the wanted turn.
+const WAY_OUT_STEP_RAD: f64 = 0.1;
+const WAY_OUT_STEPS: u32 = 31;
+const AGAINST_ASKED: f64 = 1.5;
 /// How far ahead in time the wanted turn is looked at: a period, and what the robot turns on before the next command arrives.
 const LOOK_AHEAD_S: f64 = 0.3;
 
@@ -118,6 +122,30 @@ impl Detour {
         if share >= 1.0 { (1.0 / share).asin() } else { FRAC_PI_2 + OUTWARD_RAD * (1.0 - share) }
     }
 
+    /// The side, +1 left or -1 right, to which a turn on the spot leads out from between the kept places: the nearer way out, one
+    /// against the turn that is asked for counting half as far again, since the robot must come back from there. `None` without
+    /// a place.
+    pub(super) fn way_out(&self, pose: &Pose2, asked_rad_s: f64) -> Option<f64> {
+        self.is_under_way().then(|| {
+            let cost_rad = |side: f64| {
+                let turn_rad = |step: &u32| f64::from(*step) * WAY_OUT_STEP_RAD;
+                let free = |turned_rad: &f64| self.is_free(pose, side * turned_rad);
+                let found_rad = (0..WAY_OUT_STEPS).map(|step| turn_rad(&step)).find(free).unwrap_or(PI);
+                if side * asked_rad_s < 0.0 { AGAINST_ASKED * found_rad } else { found_rad }
+            };
+            if cost_rad(1.0) <= cost_rad(-1.0) { 1.0 } else { -1.0 }
+        })
+    }
+
+    /// Whether the way straight on passes all kept places after a turn.
+    fn is_free(&self, pose: &Pose2, turned_rad: f64) -> bool {
+        let turned = Pose2 { heading_rad: pose.heading_rad + turned_rad, ..*pose };
+        self.places.iter().flatten().all(|place| {
+            let point_m = turned.local_from_parent(place.point_m);
+            point_m.y.atan2(point_m.x).abs() >= self.bearing_min_rad(point_m.norm())
+        })
+    }
+
     /// The wanted velocity without the turn that would point the way at a kept place. A turn on the spot runs into nothing and passes.
     pub(super) fn guard(&self, pose: &Pose2, wanted: Velocity) -> Velocity {
         if !is_driving(wanted) {
@@ -194,6 +222,27 @@ mod tests {
         };
         assert!(!walker(0.7, 0.1));
         assert!(walker(0.7, 0.3) && walker(0.5, 0.0) && walker(-0.7, 0.0));
+    }
+
+    #[test]
+    fn the_way_out_is_the_nearer_one_unless_it_leads_away_from_what_is_wanted() {
+        let way_out = |places_m: &[(f64, f64)], asked_rad_s: f64| {
+            let mut detour = Detour::new(0.4, 0.2);
+            for (x_m, y_m) in places_m {
+                detour.observe(&at(0.0, 0.0, 0.0), [Some(Vector2::new(*x_m, *y_m)), None], 0.1);
+            }
+            detour.way_out(&at(0.0, 0.0, 0.0), asked_rad_s)
+        };
+        // A box seen to the right: 20 deg to the left pass it, 110 deg to the right.
+        for asked_rad_s in [0.5, 0.0, -0.5] {
+            assert_eq!(way_out(&[(0.4, -0.3), (0.5, -0.2)], asked_rad_s), Some(1.0));
+            assert_eq!(way_out(&[(0.4, 0.3), (0.5, 0.2)], asked_rad_s), Some(-1.0));
+        }
+        // A wedge: 90 deg to the left, 108 deg to the right.
+        let wedge_m = [(0.33, 0.43), (0.31, -0.39)];
+        assert_eq!(way_out(&wedge_m, 0.0), way_out(&wedge_m, 0.5));
+        assert_eq!([way_out(&wedge_m, 0.5), way_out(&wedge_m, -0.5)], [Some(1.0), Some(-1.0)]);
+        assert_eq!(way_out(&[], 0.5), None);
     }
 
     #[test]

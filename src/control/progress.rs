@@ -4,8 +4,10 @@
 //! Comes out: whether the robot is stuck, and then what to do about it. Where a turn is wanted the layers below CA probably hold
 //! it back, each with good reason, so the first thing is to let the wanted velocity pass for a while; CA goes on guarding it.
 //! The other is a turn on the spot, which is safe wherever the robot can stand: a round footprint covers the same ground while
-//! it turns. Each further turn without progress is half as long again as the first, up to half a turn, and to the other side.
+//! it turns. Out of a corner it goes first to the side where the places that were avoided leave the nearer way out, and ends where
+//! nothing is near and driving is wanted. Each further turn without progress is half as long again as the first, up to half a turn, and to the other side.
 
+use super::layer::is_driving;
 use super::params::StuckParams;
 use crate::geometry::{Pose2, wrap_angle_rad};
 use crate::signal::Velocity;
@@ -25,8 +27,8 @@ const CORNER_MAX_RAD: f64 = 2.0 * PI;
 const NEW_HEADING_S: f64 = 1.5;
 /// Silent ping sets in a row that end a turn out of a corner before its time.
 const CLEAR_COUNT_MIN: u32 = 3;
-/// What collision avoidance may turn before it counts as stuck: what was ahead is then well behind.
-const AVOIDING_MAX_RAD: f64 = 2.6;
+/// What collision avoidance may turn before it counts as stuck: what was ahead is then abeam, so something else is near.
+const AVOIDING_MAX_RAD: f64 = 1.6;
 /// What counts as progress while nothing but turning is asked for.
 const TURNED_MIN_RAD: f64 = 0.5;
 
@@ -54,8 +56,9 @@ pub(super) enum WayOut {
 pub(super) struct Avoidance {
     /// +1 or -1: the side it turned to; `None` if it did not act.
     pub(super) turn: Option<f64>,
-    /// Whether its region is silent.
+    /// Whether its region is silent, and whether it is loud enough to fire.
     pub(super) is_clear: bool,
+    pub(super) is_loud: bool,
 }
 
 /// Watches the robot's progress.
@@ -136,9 +139,12 @@ impl Progress {
             let step_rad = *turn * wrap_angle_rad(self.pose.heading_rad - heading_rad);
             *turned_rad += step_rad;
             *left_rad -= step_rad;
-            self.clear_count = if avoidance.is_clear { self.clear_count.saturating_add(1) } else { 0 };
+            // In a doorway nothing is ever silent: from half a turn on, what would not fire is good enough.
+            let quiet = avoidance.is_clear || (!avoidance.is_loud && *turned_rad >= PI);
+            self.clear_count = if quiet { self.clear_count.saturating_add(1) } else { 0 };
             let silent = self.avoidance_count > 0 && self.clear_count >= CLEAR_COUNT_MIN;
-            let found = silent && *turned_rad >= TURNED_MIN_RAD;
+            // Where no driving is wanted the robot would only be turned back.
+            let found = silent && *turned_rad >= TURNED_MIN_RAD && is_driving(wanted);
             if found || !(*left_rad > 0.0) {
                 self.escape = None;
                 self.restart();
@@ -185,17 +191,24 @@ impl Progress {
         self.escape.is_some() || (self.params.enabled && (self.is_cornered() || self.is_late()))
     }
 
-    /// Turned away again and again, and each time back into it.
+    /// Turned away again and again, and each time back into it; or so far that there is more than what was turned away from.
     fn is_cornered(&self) -> bool {
-        self.avoidance_count >= AVOIDANCES_MAX
+        let turned_far = self.avoided.is_some() && self.turned_away_rad >= AVOIDING_MAX_RAD;
+        self.avoidance_count >= AVOIDANCES_MAX || turned_far
     }
 
     fn is_late(&self) -> bool {
         !self.turns_away && self.since_progress_s >= self.params.time_s
     }
 
-    /// What a stuck robot does now. `preferred` is the side of the first turn after progress, +1 or -1.
-    pub(super) fn way_out(&mut self, wanted: Velocity, preferred: f64) -> WayOut {
+    /// Whether a turn on the spot out of it is under way.
+    pub(super) fn turns_out(&self) -> bool {
+        matches!(self.escape, Some(Escape::Turn { .. }))
+    }
+
+    /// What a stuck robot does now. `known` is the side, +1 or -1, on which the places that were avoided leave a way out, `quieter`
+    /// that of the first turn after progress where there is none.
+    pub(super) fn way_out(&mut self, wanted: Velocity, known: Option<f64>, quieter: f64) -> WayOut {
         match self.escape {
             Some(Escape::LetGo { .. }) => return WayOut::LetGo,
             Some(Escape::Turn { turn, .. }) => return WayOut::Turn(turn),
@@ -207,14 +220,15 @@ impl Progress {
             self.escape = Some(Escape::LetGo { left_s: LET_GO_S });
             return WayOut::LetGo;
         }
-        let turn = match (self.turn_count, self.avoidance_count) {
-            (0, 0 | 1) => preferred,
+        let known = known.filter(|_| self.turn_count == 0 && self.avoidance_count > 0);
+        let turn = known.unwrap_or(match (self.turn_count, self.avoidance_count) {
+            (0, 0 | 1) => quieter,
             // A long turn is not taken back.
             (0, _) if self.turned_away_rad >= LONG_TURN_RAD => self.avoidance_turn,
             // Away from the nearest reflection did not help, however often.
             (0, _) => -self.avoidance_turn,
             _ => -self.last_turn,
-        };
+        });
         let first_rad = self.params.escape_turn_deg.to_radians();
         let longer = 1.0 + 0.5 * f64::from(self.turn_count.min(4));
         // Out of a corner the turn ends where nothing is near; else where its angle ends.
