@@ -4,6 +4,7 @@ mod simulate;
 
 pub use simulate::{ConditionArguments, SimulateArguments};
 
+use super::process::Shard;
 use crate::imaging::params::Prefer;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -163,9 +164,13 @@ pub struct OperatorArguments {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   noctule process ping.bin --config robot.toml --out images --png
-  noctule process a.npy b.npy --config robot.toml --out images    # images/a, images/b")]
+  noctule process a.npy b.npy --config robot.toml --out images    # images/a, images/b
+  noctule process day1 --out images                     # all recordings in day1; again after an interruption: the rest
+  noctule process day1 --out images --shard 3/8         # the third of eight parts, in any order, on any machines
+  parallel noctule process day1 --out images --jobs 1 --shard {}/8 ::: $(seq 8)")]
 pub struct ProcessArguments {
-    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], or eRTIS .bin.
+    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], or eRTIS .bin; or folders of
+    /// them.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
     #[command(flatten)]
@@ -182,6 +187,15 @@ pub struct ProcessArguments {
     /// Write a picture of every ping as well.
     #[arg(long)]
     pub png: bool,
+    /// Do only the I-th of N equal parts of the recordings, I from 1 to N; together the parts are everything.
+    #[arg(long, value_name = "I/N")]
+    pub shard: Option<Shard>,
+    /// Cores to use; all without it. The results are the same.
+    #[arg(short, long, value_name = "J", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub jobs: Option<u32>,
+    /// Do again what was finished before.
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// `masks`.
