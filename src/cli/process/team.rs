@@ -131,7 +131,7 @@ fn next_ping<I: Images>(shared: &Shared<'_, I>, pings: &mut PingSet) -> Option<u
     if reading.over {
         return None;
     }
-    match reading.recording.read_ping(&mut pings.pings[0].samples) {
+    match reading.recording.read_ping(pings.pings[0].samples_mut()) {
         Ok(true) => {
             let index = reading.next;
             reading.next += 1;
