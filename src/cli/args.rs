@@ -229,6 +229,15 @@ pub struct BenchArguments {
     /// Print one JSON object instead of the table.
     #[arg(long)]
     pub json: bool,
+    /// Measure last sample to command instead: daemon and controller process, fed by this one as a driver.
+    #[arg(long)]
+    pub latency: bool,
+    /// Ping sets that --latency sends, 20 a second.
+    #[arg(long, value_name = "N", default_value_t = 400, requires = "latency", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub sets: u32,
+    /// Measure --latency a second time, with all cores kept at work.
+    #[arg(long, requires = "latency")]
+    pub busy: bool,
 }
 
 /// `topics`.

@@ -1,5 +1,10 @@
 //! `noctule bench`: every stage and the whole ping set, one to three sensors, each backend, on simulated pings.
 
+mod hop;
+mod latency;
+mod place;
+mod quantiles;
+
 use super::args::{BackendArgument, BenchArguments};
 use super::output::print_line;
 use super::process::backend_failure;
@@ -58,6 +63,9 @@ impl Row {
 /// Exit 69 when the backend asked for is missing, 78.
 pub fn bench(arguments: &BenchArguments) -> Result<(), Failure> {
     let config = super::config::load(&arguments.choice)?;
+    if arguments.latency {
+        return latency::latency(&config, arguments);
+    }
     let prefers: &[Prefer] = match arguments.backend {
         Some(BackendArgument::Cpu) => &[Prefer::Cpu],
         Some(BackendArgument::Gpu) => &[Prefer::Gpu],
@@ -78,17 +86,22 @@ pub fn bench(arguments: &BenchArguments) -> Result<(), Failure> {
         }
     }
     if arguments.json {
-        let machine = json!({
-            "cores": std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
-            "architecture": std::env::consts::ARCH,
-            "os": std::env::consts::OS,
-            "noctule_version": env!("CARGO_PKG_VERSION"),
-            "format": config.recording.format.as_str(),
-        });
+        let machine = machine(&config);
         let results: Vec<Value> = rows.iter().map(Row::json).collect();
         return print_line(&json!({"machine": machine, "results": results}).to_string());
     }
     print_table(&config, &rows)
+}
+
+/// What the figures were measured on.
+fn machine(config: &Config) -> Value {
+    json!({
+        "cores": std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+        "architecture": std::env::consts::ARCH,
+        "os": std::env::consts::OS,
+        "noctule_version": env!("CARGO_PKG_VERSION"),
+        "format": config.recording.format.as_str(),
+    })
 }
 
 fn print_table(config: &Config, rows: &[Row]) -> Result<(), Failure> {
