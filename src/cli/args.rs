@@ -4,6 +4,7 @@ mod simulate;
 
 pub use simulate::{ConditionArguments, SimulateArguments};
 
+use super::bench::Case;
 use super::process::Shard;
 use crate::imaging::params::Prefer;
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -223,12 +224,27 @@ pub struct BenchArguments {
     /// Only this backend; both without it.
     #[arg(long, value_enum, value_name = "B")]
     pub backend: Option<BackendArgument>,
+    /// Only this number of sensors; one to all without it.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=3))]
+    pub sensors: Option<u32>,
     /// Ping sets measured for each row.
     #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub iterations: u32,
     /// Print one JSON object instead of the table.
     #[arg(long)]
     pub json: bool,
+    /// Measure time and memory against microphones, directions, sensors and samples instead; CPU unless told otherwise.
+    #[arg(long, conflicts_with_all = ["latency", "config"])]
+    pub scaling: bool,
+    /// Draw what --scaling measured.
+    #[arg(long, value_name = "F.png", requires = "scaling")]
+    pub plot: Option<PathBuf>,
+    /// Measure one configuration in this process; for the command's own use.
+    #[arg(long, hide = true, requires_all = ["sensors", "backend"])]
+    pub alone: bool,
+    /// Measure one row of --scaling; for its own use.
+    #[arg(long, hide = true)]
+    pub scaling_row: Option<Case>,
     /// Measure last sample to command instead: daemon and controller process, fed by this one as a driver.
     #[arg(long)]
     pub latency: bool,
