@@ -8,6 +8,7 @@ mod bench;
 mod check;
 mod config;
 mod demo;
+mod log_queue;
 mod masks;
 mod output;
 mod process;
@@ -17,8 +18,12 @@ mod topics;
 
 pub use args::{Arguments, Command};
 
+use log_queue::LogQueue;
 use std::fmt;
+use std::io::IsTerminal as _;
 use std::process::ExitCode;
+use std::sync::OnceLock;
+use std::time::Duration;
 
 /// Exit codes of the specification.
 pub mod exit {
@@ -82,7 +87,11 @@ pub fn main() -> ExitCode {
         }
     };
     start_logging(arguments.verbose, arguments.quiet);
-    match dispatch(arguments.command) {
+    let done = dispatch(arguments.command);
+    if let Some(log) = LOG.get() {
+        log.finish(LOG_FINISH_LIMIT);
+    }
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             if !failure.message.is_empty() {
@@ -93,6 +102,11 @@ pub fn main() -> ExitCode {
     }
 }
 
+/// The log, to be written to its end before the program ends.
+static LOG: OnceLock<LogQueue> = OnceLock::new();
+/// Longest wait for a log that nobody reads.
+const LOG_FINISH_LIMIT: Duration = Duration::from_millis(100);
+
 /// Log level comes from the command line alone: no environment variable changes what the program does.
 pub fn start_logging(verbose: u8, quiet: bool) {
     let level = match (quiet, verbose) {
@@ -102,7 +116,15 @@ pub fn start_logging(verbose: u8, quiet: bool) {
         (false, _) => log::LevelFilter::Trace,
     };
     let foreign = if verbose > 2 { level } else { log::LevelFilter::Warn.min(level) };
-    env_logger::Builder::new().filter_level(foreign).filter_module("noctule", level).format_target(false).init();
+    let mut builder = env_logger::Builder::new();
+    builder.filter_level(foreign).filter_module("noctule", level).format_target(false);
+    // Without a thread the log is written where it arises.
+    if let Ok(queue) = LogQueue::start(std::io::stderr()) {
+        let coloured = std::io::stderr().is_terminal();
+        builder.write_style(if coloured { env_logger::WriteStyle::Always } else { env_logger::WriteStyle::Never });
+        builder.target(env_logger::Target::Pipe(Box::new(LOG.get_or_init(|| queue).clone())));
+    }
+    builder.init();
 }
 
 fn dispatch(command: Command) -> Result<(), Failure> {
