@@ -1,6 +1,9 @@
 //! What only shows from inside: work that the device skipped must not pass for a result.
 //! A missing adapter skips these tests unless `NOCTULE_REQUIRE_GPU=1`.
 
+#[path = "../../../tests/common/validation.rs"]
+mod validation;
+
 use super::*;
 use crate::imaging::params::ImagingParams;
 use crate::sensor::{Emission, MicrophoneArray, Mount, RecordingFormat, SensorSetup};
@@ -47,6 +50,7 @@ fn small() -> (Arc<ImagingPlan>, Arc<MaskTable>) {
 
 /// An open backend with a ping set of noise and an image, or `None` where there is no adapter and none is required.
 fn opened() -> Option<(GpuBackend, PingSet, Image)> {
+    validation::watch();
     if adapters().is_empty() {
         assert!(std::env::var("NOCTULE_REQUIRE_GPU").is_err(), "NOCTULE_REQUIRE_GPU is set, but there is no adapter");
         return None;
