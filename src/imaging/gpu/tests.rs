@@ -88,12 +88,12 @@ fn an_old_result_does_not_pass_for_a_new_one() {
     backend.image(&pings, &mut image).unwrap();
     // Negative control: the result just made is good under its own nonce, and only under that.
     pings.sequence += 1;
-    backend.params.nonce_low += 1;
+    backend.nonce[0] += 1;
     backend.staging.request();
     backend.staging.wait(&backend.gpu, Instant::now(), SLOW_LIMIT).unwrap();
     let error = backend.take_result(&pings, pings.present, &mut image).unwrap_err();
     assert!(error.to_string().contains("bears the mark"), "{error}");
-    backend.params.nonce_low -= 1;
+    backend.nonce[0] -= 1;
     backend.staging.request();
     backend.staging.wait(&backend.gpu, Instant::now(), SLOW_LIMIT).unwrap();
     backend.take_result(&pings, pings.present, &mut image).unwrap();
@@ -103,7 +103,7 @@ fn an_old_result_does_not_pass_for_a_new_one() {
 fn two_devices_never_share_an_epoch() {
     let Some((first, _, _)) = opened() else { return };
     let Some((second, _, _)) = opened() else { return };
-    assert_ne!(first.params.nonce_epoch, second.params.nonce_epoch);
+    assert_ne!(first.nonce[2], second.nonce[2]);
 }
 
 #[test]
