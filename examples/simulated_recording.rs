@@ -26,7 +26,7 @@ fn main() -> anyhow::Result<()> {
     let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd()?;
     for _ in 0..PINGS {
         simulator.ping_set(Stamp::default(), &mut pings);
-        if let Samples::PcmF32(values) = &pings.pings[0].samples {
+        if let Samples::PcmF32(values) = &*pings.pings[0].samples {
             writer.extend(values.iter().copied())?;
         }
         // Half a second on, so that the echoes move.

@@ -73,7 +73,7 @@ fn wall_pings(format: SampleFormat, count: usize) -> Vec<Samples> {
     (0..count)
         .map(|_| {
             simulator.ping_set(Stamp::default(), &mut pings);
-            pings.pings[0].samples.clone()
+            (*pings.pings[0].samples).clone()
         })
         .collect()
 }

@@ -104,7 +104,9 @@ fn raw_pings_are_read_and_people_get_names_and_values() {
     let driver = RawPublisher::open(&place.ipc, "front", shape).expect("driver");
     let echo = open(&place, "noctule/sonar/front/pcm", false);
     let samples = Samples::PcmI16(vec![-5, 7, 3, 1]);
-    driver.publish(&RawPing { sensor_index: 0, sequence: 8, emitted_at: SystemClock.now(), samples }).expect("sent");
+    driver
+        .publish(&RawPing { sensor_index: 0, sequence: 8, emitted_at: SystemClock.now(), samples: samples.into() })
+        .expect("sent");
     let line = echo.next_line().expect("a line");
     for part in ["sequence=8", "format=pcm-i16", "len=4", "max=7.0000"] {
         assert!(line.contains(part), "{line}");

@@ -309,7 +309,7 @@ fn left_out_channels_drop_out_of_the_sum_and_the_rest_keeps_its_scale() {
     let gains = image.channels[0].gains.clone();
     let truth = truth(&case, &plan, &pings, 0, &gains, Fault::None);
     // What a left-out channel holds must not matter, not even as zero times NaN.
-    let Samples::PcmF32(values) = &mut pings.pings[0].samples else { panic!("format") };
+    let Samples::PcmF32(values) = pings.pings[0].samples_mut() else { panic!("format") };
     for (channel, poison) in left_out.into_iter().zip([f32::NAN, f32::INFINITY, 1e38]) {
         values[channel * plan.raw_count..][..plan.raw_count].fill(poison);
     }
@@ -449,7 +449,7 @@ fn a_huge_sample_becomes_infinite_energy_rather_than_silence() {
     let plan = case.plan();
     let masks = random_masks(&plan, 7);
     let mut pings = case.random_pings(900);
-    let Samples::PcmF32(values) = &mut pings.pings[0].samples else { panic!("format") };
+    let Samples::PcmF32(values) = pings.pings[0].samples_mut() else { panic!("format") };
     values.iter_mut().for_each(|value| *value *= 1e37);
     for (name, open) in backends() {
         let mut image = image_with_gains(&plan, &masks, &[]);

@@ -184,7 +184,7 @@ fn bad_channels_are_named_and_left_out_and_the_reflector_keeps_its_place_and_str
     let plan = case.plan();
     let mut imager = imager(&plan);
     let mut pings = ping_set(1, vec![case.samples(0, &[reflector(0.2, 2.0, 25.0)], &mut Random(1))]);
-    let Samples::PcmF32(values) = &mut pings.pings[0].samples else { panic!("format") };
+    let Samples::PcmF32(values) = pings.pings[0].samples_mut() else { panic!("format") };
     let count = plan.raw_count;
     values[3 * count + 77] = f32::NAN;
     values[9 * count + 16_383] = f32::INFINITY;

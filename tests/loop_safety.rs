@@ -114,7 +114,7 @@ fn frozen_pings_are_a_fault_at_the_second_copy() {
     let frozen = drive.pings.clone();
     let outcome = drive.step(|pings| {
         for (ping, old) in pings.pings.iter_mut().zip(&frozen.pings) {
-            ping.samples.clone_from(&old.samples);
+            *ping.samples_mut() = (*old.samples).clone();
         }
     });
     assert_eq!((outcome.output.state, outcome.output.reason), (DaemonState::Fault, Reason::FrozenPing));

@@ -315,7 +315,7 @@ fn pdm_words_decode_to_the_pcm_within_their_quantisation_noise() {
         ping(&mut simulator)
     };
     let (words, pcm) = (make(pdm()), make(pcm()));
-    let noctule::signal::Samples::Pdm(words) = &words.pings[0].samples else { panic!("not PDM") };
+    let noctule::signal::Samples::Pdm(words) = &*words.pings[0].samples else { panic!("not PDM") };
     assert_eq!(words.len(), 163_840);
     for microphone in [0, 17, 31] {
         let bit = |index: i64| match words.get(usize::try_from(index).unwrap_or(usize::MAX)) {
@@ -358,7 +358,7 @@ fn sixteen_bit_samples_are_the_float_ones_rounded() {
         ping(&mut simulator)
     };
     let (short, float) = (make(recording), make(pcm()));
-    let noctule::signal::Samples::PcmI16(values) = &short.pings[1].samples else { panic!("not i16") };
+    let noctule::signal::Samples::PcmI16(values) = &*short.pings[1].samples else { panic!("not i16") };
     for (index, value) in values.iter().enumerate().take(SAMPLES) {
         let exact = f64::from(row(&float, 1, 0)[index]) * 32768.0;
         assert!((f64::from(*value) - exact).abs() <= 0.5, "{index}");

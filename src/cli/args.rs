@@ -4,6 +4,8 @@ mod simulate;
 
 pub use simulate::{ConditionArguments, SimulateArguments};
 
+use super::bench::Case;
+use super::process::Shard;
 use crate::imaging::params::Prefer;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -163,9 +165,13 @@ pub struct OperatorArguments {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   noctule process ping.bin --config robot.toml --out images --png
-  noctule process a.npy b.npy --config robot.toml --out images    # images/a, images/b")]
+  noctule process a.npy b.npy --config robot.toml --out images    # images/a, images/b
+  noctule process day1 --out images                     # all recordings in day1; again after an interruption: the rest
+  noctule process day1 --out images --shard 3/8         # the third of eight parts, in any order, on any machines
+  parallel noctule process day1 --out images --jobs 1 --shard {}/8 ::: $(seq 8)")]
 pub struct ProcessArguments {
-    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], or eRTIS .bin.
+    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], or eRTIS .bin; or folders of
+    /// them.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
     #[command(flatten)]
@@ -182,6 +188,15 @@ pub struct ProcessArguments {
     /// Write a picture of every ping as well.
     #[arg(long)]
     pub png: bool,
+    /// Do only the I-th of N equal parts of the recordings, I from 1 to N; together the parts are everything.
+    #[arg(long, value_name = "I/N")]
+    pub shard: Option<Shard>,
+    /// Cores to use; all without it. The results are the same.
+    #[arg(short, long, value_name = "J", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub jobs: Option<u32>,
+    /// Do again what was finished before.
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// `masks`.
@@ -209,12 +224,36 @@ pub struct BenchArguments {
     /// Only this backend; both without it.
     #[arg(long, value_enum, value_name = "B")]
     pub backend: Option<BackendArgument>,
+    /// Only this number of sensors; one to all without it.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=3))]
+    pub sensors: Option<u32>,
     /// Ping sets measured for each row.
     #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub iterations: u32,
     /// Print one JSON object instead of the table.
     #[arg(long)]
     pub json: bool,
+    /// Measure time and memory against microphones, directions, sensors and samples instead; CPU unless told otherwise.
+    #[arg(long, conflicts_with_all = ["latency", "config"])]
+    pub scaling: bool,
+    /// Draw what --scaling measured.
+    #[arg(long, value_name = "F.png", requires = "scaling")]
+    pub plot: Option<PathBuf>,
+    /// Measure one configuration in this process; for the command's own use.
+    #[arg(long, hide = true, requires_all = ["sensors", "backend"])]
+    pub alone: bool,
+    /// Measure one row of --scaling; for its own use.
+    #[arg(long, hide = true)]
+    pub scaling_row: Option<Case>,
+    /// Measure last sample to command instead: daemon and controller process, fed by this one as a driver.
+    #[arg(long)]
+    pub latency: bool,
+    /// Ping sets that --latency sends, 20 a second.
+    #[arg(long, value_name = "N", default_value_t = 400, requires = "latency", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub sets: u32,
+    /// Measure --latency a second time, with all cores kept at work.
+    #[arg(long, requires = "latency")]
+    pub busy: bool,
 }
 
 /// `topics`.

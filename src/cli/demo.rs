@@ -256,7 +256,9 @@ impl Tally {
             "commands_published": published,
             "commands_applied": applied,
             "drops": since(|health| health.dropped_count),
-            "latency_ms": { "p50": rank(0.50), "p99": rank(0.99), "max": sorted.last() },
+            "latency_ms": {
+                "p50": rank(0.50), "p99": rank(0.99), "p99_9": rank(0.999), "max": sorted.last(), "count": sorted.len()
+            },
             "backend": self.health.as_ref().map_or("none", backend_of),
             "adapter": self.health.as_ref().map_or(String::new(), Health::adapter_name),
             "sensors": self.sensors,

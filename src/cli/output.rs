@@ -6,7 +6,7 @@ use crate::io::picture::Picture;
 use indicatif::{ProgressBar, ProgressStyle};
 use npyz::WriterBuilder as _;
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// Makes a folder and its parents.
@@ -58,6 +58,19 @@ impl NewFile {
         std::fs::rename(&self.partial, &self.path).map_err(io)?;
         self.finished = true;
         Ok(())
+    }
+
+    /// Writes over the first bytes of the file; later bytes go to its end as before.
+    ///
+    /// # Errors
+    /// Exit 74 when the disk is full or fails.
+    pub fn overwrite_start(&mut self, bytes: &[u8]) -> Result<(), Failure> {
+        let written = (|| {
+            self.writer.seek(SeekFrom::Start(0))?;
+            self.writer.write_all(bytes)?;
+            self.writer.seek(SeekFrom::End(0))
+        })();
+        written.map(|_| ()).map_err(|error| self.failure(&error))
     }
 
     /// The failure for bytes that could not be written.

@@ -1,26 +1,65 @@
 //! `noctule process`: recordings to energyscapes in NumPy files (specification, section 11).
 //!
-//! One input after the other, ping by ping: memory does not grow with a recording's length. A bad input gets its error
-//! and the others go on; a truncated one keeps its complete pings.
+//! Several recordings at a time, several imagers at each, one thread an imager: all cores are at work whether there are many
+//! recordings or one, and the bytes are the same however many there are. Memory does not grow with a recording's length. A
+//! bad input gets its error and the others go on. What was finished before is passed over.
+
+mod finished;
+mod inputs;
+mod job;
+mod team;
+
+pub use inputs::Shard;
 
 use super::args::ProcessArguments;
-use super::output::{NewFile, make_folder, progress, write_json, write_npy};
+use super::output::{make_folder, progress};
 use super::{Failure, exit};
 use crate::config::Config;
-use crate::imaging::backend::{BackendError, BackendReport};
-use crate::imaging::channels::{ChannelFinding, ChannelReport};
+use crate::imaging::backend::{BackendError, BackendKind};
+use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
-use crate::io::picture;
-use crate::io::recording_file::{RecordingError, RecordingFile, RecordingShape};
-use crate::service::wiring::{self, SensingSetup};
-use crate::signal::{MaskTable, PingSet, PolarGrid, SENSORS_MAX};
-use npyz::WriterBuilder as _;
-use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use crate::io::recording_file::{RecordingError, RecordingFile};
+use crate::service::wiring;
+use crate::signal::{MaskTable, SENSORS_MAX};
+use finished::Fingerprint;
+use indicatif::ProgressBar;
+use inputs::Target;
+use job::Job;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, Once, PoisonError};
 
 /// Offline nobody waits for a ping: a software adapter may take its time, and only a hang is given up.
-const OFFLINE: ImagerOptions = ImagerOptions { threads: None, gpu_deadline_ms: 10_000 };
+const OFFLINE: ImagerOptions = ImagerOptions { threads: Some(1), gpu_deadline_ms: 10_000 };
+/// Imagers on one GPU: while one waits for it, the other reads and writes.
+const GPU_IMAGERS: usize = 2;
+
+/// What all recordings have in common.
+pub struct Batch<'a> {
+    config: &'a Config,
+    arguments: &'a ProcessArguments,
+    sensor_index: usize,
+    chosen: Chosen,
+    imagers_per_recording: usize,
+    bar: ProgressBar,
+    announced: Once,
+}
+
+/// The backend that all imagers take, chosen once.
+pub enum Chosen {
+    /// The CPU, and why.
+    Cpu {
+        /// The reason as the meta data gives it.
+        reason: String,
+    },
+    /// A GPU, found again in the same way.
+    Gpu {
+        /// What was asked for.
+        prefer: Prefer,
+    },
+}
+
+/// A recording that is to be imaged, as it is now.
+type Waiting = (Target, Fingerprint);
 
 /// Runs the command.
 ///
@@ -29,19 +68,16 @@ const OFFLINE: ImagerOptions = ImagerOptions { threads: None, gpu_deadline_ms: 1
 pub fn process(arguments: &ProcessArguments) -> Result<(), Failure> {
     let config = super::config::load(&arguments.choice)?;
     let sensor_index = find_sensor(&config, arguments.sensor.as_deref())?;
+    let targets = inputs::targets(arguments)?;
     make_folder(&arguments.out)?;
-    let targets = targets(arguments)?;
-    let mut first_failure = None;
-    for (input, folder) in &targets {
-        let job = Job { config: &config, sensor_index, input, folder, arguments };
-        if let Err(failure) = job.run() {
-            eprintln!("noctule: {}", failure.message);
-            // The exit code is the first failure's: later ones have been told as well.
-            first_failure.get_or_insert(failure.code);
-        }
+    let (waiting, mut failures) = unfinished(&config, sensor_index, arguments, targets)?;
+    if !waiting.is_empty() {
+        failures.extend(image(&config, sensor_index, arguments, waiting)?);
     }
-    match first_failure {
-        Some(code) => Err(Failure::new(code, "")),
+    // All have been told; the exit code is that of the first in the order of the names.
+    failures.sort_by(|(a, _), (b, _)| a.folder.cmp(&b.folder));
+    match failures.first() {
+        Some((_, code)) => Err(Failure::new(*code, "")),
         None => Ok(()),
     }
 }
@@ -54,208 +90,95 @@ fn find_sensor(config: &Config, name: Option<&str>) -> Result<usize, Failure> {
     })
 }
 
-/// One input writes into the folder itself, several into a folder each, named by their stems.
-fn targets(arguments: &ProcessArguments) -> Result<Vec<(PathBuf, PathBuf)>, Failure> {
-    if let [input] = arguments.inputs.as_slice() {
-        return Ok(vec![(input.clone(), arguments.out.clone())]);
-    }
-    let mut targets: Vec<(PathBuf, PathBuf)> = Vec::new();
-    for input in &arguments.inputs {
-        let stem =
-            input.file_stem().ok_or_else(|| Failure::new(exit::USAGE, format!("{}: no file name", input.display())))?;
-        let folder = arguments.out.join(stem);
-        if let Some((other, _)) = targets.iter().find(|(_, taken)| *taken == folder) {
-            let message =
-                format!("{} and {} would both write into {}", other.display(), input.display(), folder.display());
-            return Err(Failure::new(exit::USAGE, message));
-        }
-        targets.push((input.clone(), folder));
-    }
-    Ok(targets)
+fn prefer(config: &Config, arguments: &ProcessArguments) -> Prefer {
+    arguments.backend.map_or(config.imaging.backend, Into::into)
 }
 
-struct Job<'a> {
-    config: &'a Config,
+/// Says what is passed over, and gives the rest: what is to be imaged, and what is not even there.
+fn unfinished(
+    config: &Config,
     sensor_index: usize,
-    input: &'a Path,
-    folder: &'a Path,
-    arguments: &'a ProcessArguments,
+    arguments: &ProcessArguments,
+    targets: Vec<Target>,
+) -> Result<(Vec<Waiting>, Vec<(Target, u8)>), Failure> {
+    let backend = format!("{:?}", prefer(config, arguments));
+    let settings = finished::settings(config, sensor_index, &backend, arguments.png)
+        .map_err(|error| Failure::new(exit::CONFIG, error))?;
+    let (count, mut waiting, mut failures) = (targets.len(), Vec::new(), Vec::new());
+    for target in targets {
+        match Fingerprint::of(&target.input, &settings) {
+            Ok(fingerprint) if !arguments.force && fingerprint.is_finished_in(&target.folder) => {
+                log::info!("{}: finished before, skipped (--force does it again)", target.input.display());
+            }
+            Ok(fingerprint) => waiting.push((target, fingerprint)),
+            Err(error) => {
+                let failure = data_failure(&RecordingError::Io { path: target.input.clone(), error });
+                eprintln!("noctule: {}", failure.message);
+                failures.push((target, failure.code));
+            }
+        }
+    }
+    let skipped = count - waiting.len() - failures.len();
+    if skipped > 0 || arguments.shard.is_some() {
+        log::info!("{count} recordings: {skipped} finished before, {} to do", waiting.len());
+    }
+    Ok((waiting, failures))
 }
 
-impl Job<'_> {
-    fn run(&self) -> Result<(), Failure> {
-        let words = wiring::words_per_ping(self.config);
-        let mut recording = RecordingFile::open(self.input, words).map_err(|error| data_failure(&error))?;
-        let setup = self.setup(recording.shape())?;
-        let prefer = self.arguments.backend.map_or(self.config.imaging.backend, Into::into);
-        let masks = Arc::new(MaskTable::default());
-        let mut imager =
-            Imager::open(Arc::clone(&setup.plan), masks, prefer, OFFLINE).map_err(|error| backend_failure(&error))?;
-        imager.announce();
-        make_folder(self.folder)?;
-        let images = self.images(&mut recording, &mut imager, &setup)?;
-        self.write_axes(&setup.plan.grid)?;
-        self.write_meta(&setup, imager.report(), &images)?;
-        log::info!("{}: {} pings imaged on {}", self.input.display(), images.count, imager.report().adapter);
-        images.ended_by.map_or(Ok(()), Err)
+/// Chooses the backend for good: looking for a GPU takes longer than imaging a short recording.
+fn choose(config: &Config, sensor_index: usize, prefer: Prefer) -> Result<Chosen, Failure> {
+    if prefer == Prefer::Cpu {
+        return Ok(Chosen::Cpu { reason: "the configuration asks for the CPU".to_owned() });
     }
+    let refuse = |error| Failure::new(exit::CONFIG, error);
+    let recording = config.recording().map_err(refuse)?;
+    let setup = wiring::sensing_of_one(config, sensor_index, &recording).map_err(refuse)?;
+    let imager = Imager::open(setup.plan, Arc::new(MaskTable::default()), prefer, OFFLINE)
+        .map_err(|error| backend_failure(&error))?;
+    Ok(match imager.kind() {
+        BackendKind::Cpu => Chosen::Cpu { reason: imager.report().reason.clone() },
+        BackendKind::Gpu => Chosen::Gpu { prefer },
+    })
+}
 
-    /// Plans for this one sensor and for what the file says of its samples, where the configuration leaves that open.
-    fn setup(&self, shape: RecordingShape) -> Result<SensingSetup, Failure> {
-        let bad = |found: String, allowed: String| {
-            Failure::new(exit::DATA, format!("{}: found {found}, allowed: {allowed}", self.input.display()))
-        };
-        let recording = wiring::recording_for(self.config, shape.format, shape.sample_count)
-            .map_err(|error| bad(error.found, format!("{} (recording.{})", error.allowed, error.key)))?;
-        let setup = wiring::sensing_of_one(self.config, self.sensor_index, &recording)
-            .map_err(|error| Failure::new(exit::CONFIG, error))?;
-        let channels = setup.plan.sensors[0].channel_count;
-        if let Some(found) = shape.channel_count.filter(|found| *found != channels) {
-            let name = &setup.sensors[0].name;
-            return Err(bad(format!("{found} microphones"), format!("{channels}, as the array of sensor {name} has")));
-        }
-        Ok(setup)
+/// Images all that waits; gives the failures, which have been told.
+fn image(
+    config: &Config,
+    sensor_index: usize,
+    arguments: &ProcessArguments,
+    waiting: Vec<Waiting>,
+) -> Result<Vec<(Target, u8)>, Failure> {
+    let chosen = choose(config, sensor_index, prefer(config, arguments))?;
+    let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let jobs = arguments.jobs.map_or_else(cores, |jobs| jobs as usize);
+    let imagers = if matches!(chosen, Chosen::Gpu { .. }) { jobs.min(GPU_IMAGERS) } else { jobs };
+    let at_once = imagers.min(waiting.len());
+    let words = wiring::words_per_ping(config);
+    // A header is all that is read here; what cannot be opened is told when its turn comes.
+    let pings = |input| RecordingFile::open(input, words).map_or(0, |recording| recording.shape().ping_count as u64);
+    let bar = progress(0, "imaging");
+    if !bar.is_hidden() {
+        bar.set_length(waiting.iter().map(|(target, _)| pings(&target.input)).sum());
     }
-
-    fn images(
-        &self,
-        recording: &mut RecordingFile,
-        imager: &mut Imager,
-        setup: &SensingSetup,
-    ) -> Result<Images, Failure> {
-        let grid = &setup.plan.grid;
-        let expected = recording.shape().ping_count;
-        let raw_len = setup.plan.raw_len(0);
-        let mut pings = PingSet::empty(1, setup.plan.format, &[raw_len]);
-        pings.present = [true, false, false];
-        let mut images = Images::default();
-        let values = self.folder.join("energyscape.npy.values");
-        let mut spool = NewFile::create(&values)?;
-        let bar = progress(expected as u64, "imaging");
-        loop {
-            match recording.read_ping(&mut pings.pings[0].samples) {
-                Ok(true) => {}
-                Ok(false) => break,
-                Err(error) => {
-                    images.ended_by = Some(data_failure(&error));
-                    break;
+    let imagers_per_recording = imagers / at_once;
+    let batch = Batch { config, arguments, sensor_index, chosen, imagers_per_recording, bar, announced: Once::new() };
+    let (next, failures) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    std::thread::scope(|scope| {
+        for _ in 0..at_once {
+            scope.spawn(|| {
+                let mut crew = None;
+                while let Some((target, fingerprint)) = waiting.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    if let Err(failure) = (Job { batch: &batch, target, fingerprint }).run(&mut crew) {
+                        batch.bar.suspend(|| eprintln!("noctule: {}", failure.message));
+                        let mut failures = failures.lock().unwrap_or_else(PoisonError::into_inner);
+                        failures.push((target.clone(), failure.code));
+                    }
                 }
-            }
-            let image = imager.image(&pings).map_err(|error| backend_failure(&error))?;
-            let energyscape = &image.energyscapes[0];
-            images.channels.push(channel_summary(&image.channels[0]));
-            if image.channels[0].gains.iter().all(|gain| *gain == 0.0) {
-                eprintln!(
-                    "noctule: {}: ping {}: every channel is left out, the image is zero",
-                    self.input.display(),
-                    images.count
-                );
-            }
-            std::io::Write::write_all(&mut spool, bytemuck::cast_slice(&energyscape.values))?;
-            if self.arguments.png {
-                let picture = picture::render_energyscape(energyscape);
-                let path = self.folder.join(format!("energyscape_{:05}.png", images.count));
-                picture::write_png(&path, &picture).map_err(|error| super::output::cannot_create(&path, &error))?;
-            }
-            pings.sequence += 1;
-            pings.pings[0].sequence += 1;
-            images.count += 1;
-            bar.inc(1);
+            });
         }
-        bar.finish_and_clear();
-        if images.count == 0 {
-            return Err(images.ended_by.unwrap_or_else(|| Failure::new(exit::DATA, "no ping")));
-        }
-        spool.finish()?;
-        let result = self.assemble(&values, images.count, grid);
-        let _ = std::fs::remove_file(&values);
-        result.map(|()| images)
-    }
-
-    /// Puts the header, which holds the number of pings and so is known last, before the values.
-    fn assemble(&self, values: &Path, count: usize, grid: &PolarGrid) -> Result<(), Failure> {
-        let shape = [count as u64, grid.direction_count() as u64, grid.range_count() as u64];
-        let mut file = NewFile::create(&self.folder.join("energyscape.npy"))?;
-        npyz::WriteOptions::<f32>::new().default_dtype().shape(&shape).writer(&mut file).begin_nd()?;
-        std::io::copy(&mut std::fs::File::open(values)?, &mut file)?;
-        file.finish()
-    }
-
-    fn write_axes(&self, grid: &PolarGrid) -> Result<(), Failure> {
-        let azimuths = grid.directions().iter().map(|direction| direction.azimuth_rad.to_degrees());
-        let path = self.folder.join("directions_deg.npy");
-        let count = grid.direction_count() as u64;
-        if grid.is_horizontal() {
-            write_npy(&path, &[count], &azimuths.collect::<Vec<f64>>())?;
-        } else {
-            let pairs: Vec<f64> = azimuths
-                .zip(grid.directions())
-                .flat_map(|(azimuth_deg, direction)| [azimuth_deg, direction.elevation_rad.to_degrees()])
-                .collect();
-            write_npy(&path, &[count, 2], &pairs)?;
-        }
-        write_npy(&self.folder.join("ranges_m.npy"), &[grid.range_count() as u64], &grid.ranges_m())
-    }
-
-    fn write_meta(&self, setup: &SensingSetup, report: &BackendReport, images: &Images) -> Result<(), Failure> {
-        let plan = &setup.plan;
-        let hidden: Vec<f64> = plan.sensors[0]
-            .hidden
-            .iter()
-            .zip(plan.grid.directions())
-            .filter_map(|(hidden, direction)| hidden.then_some(direction.azimuth_rad.to_degrees()))
-            .collect();
-        let meta = json!({
-            "noctule_version": env!("CARGO_PKG_VERSION"),
-            "input": self.input.display().to_string(),
-            "config": self.arguments.choice.config.as_ref().map(|path| path.display().to_string()),
-            "sensor": setup.sensors[0].name,
-            "backend": report.kind.as_str(),
-            "adapter": report.adapter,
-            "backend_reason": report.reason,
-            "pings": images.count,
-            "complete": images.ended_by.is_none(),
-            "format": plan.format.as_str(),
-            "sample_rate_hz": plan.sample_rate_hz * plan.decimation as f64,
-            "demodulated_rate_hz": plan.sample_rate_hz,
-            "samples": plan.raw_count,
-            "microphones": plan.sensors[0].channel_count,
-            "speed_of_sound_m_s": setup.speed_of_sound_m_s,
-            "band_hz": [setup.sensors[0].emission.band_hz.0, setup.sensors[0].emission.band_hz.1],
-            "range_first_m": plan.grid.range_first_m(),
-            "range_step_m": plan.grid.range_step_m(),
-            "hidden_directions_deg": hidden,
-            "channels": images.channels,
-        });
-        write_json(&self.folder.join("meta.json"), &meta)
-    }
-}
-
-#[derive(Default)]
-struct Images {
-    count: usize,
-    channels: Vec<Value>,
-    ended_by: Option<Failure>,
-}
-
-/// The channels that are not good, by what is wrong with them; empty lists are left out.
-fn channel_summary(report: &ChannelReport) -> Value {
-    let of = |kind: ChannelFinding| -> Vec<usize> {
-        report.findings.iter().enumerate().filter_map(|(index, found)| (*found == kind).then_some(index)).collect()
-    };
-    let mut summary = serde_json::Map::new();
-    for (name, kind) in [
-        ("disabled", ChannelFinding::Disabled),
-        ("not_finite", ChannelFinding::NotFinite),
-        ("stuck", ChannelFinding::Stuck),
-        ("clipped", ChannelFinding::Clipped),
-    ] {
-        let channels = of(kind);
-        if !channels.is_empty() {
-            summary.insert(name.to_owned(), json!(channels));
-        }
-    }
-    Value::Object(summary)
+    });
+    batch.bar.finish_and_clear();
+    Ok(failures.into_inner().unwrap_or_else(PoisonError::into_inner))
 }
 
 /// The failure for a recording that cannot be used.
@@ -278,4 +201,4 @@ pub fn backend_failure(error: &BackendError) -> Failure {
     Failure::new(code, error)
 }
 
-const _: () = assert!(SENSORS_MAX == 3, "the flags of a single-sensor ping set are written out above");
+const _: () = assert!(SENSORS_MAX == 3, "the flags of a single-sensor ping set are written out in the team");

@@ -188,7 +188,7 @@ mod tests {
     fn correlation(values: Vec<f32>) -> f32 {
         let sensor = sensor();
         let plan = plan(&sensor, SampleFormat::PcmF32);
-        let samples = Samples::PcmF32(values);
+        let samples = Arc::new(Samples::PcmF32(values));
         let ping = RawPing { sensor_index: 0, sequence: 0, emitted_at: Stamp::default(), samples };
         DirectPath::new(&plan, &[sensor], 343.0).correlation(&plan, &ping)
     }

@@ -1,4 +1,4 @@
-//! The figures of paper 000, drawn from our own drives and configurations.
+//! The figures of paper 000, drawn from our own drives and configurations; and curves of measured times ([`curves()`]).
 //!
 //! | figure | function | what goes in |
 //! |---|---|---|
@@ -13,6 +13,7 @@
 //! reach, is left out of the picture; no input panics. Nothing here computes a result, it only shows what it is handed.
 
 mod chrome;
+mod curves;
 mod flow_lines;
 mod frames;
 mod heat_map;
@@ -21,6 +22,7 @@ mod robot;
 mod trajectories;
 mod world;
 
+pub use curves::{CurvePanel, CurvePoint, curves};
 pub use flow_lines::{FlowCurve, FlowMark, FlowPanel, flow_lines};
 pub use frames::{energyscapes_together, frames};
 pub use heat_map::{HeatMapOptions, HeatMeasure, heat_map};

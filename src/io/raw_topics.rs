@@ -98,7 +98,7 @@ impl RawPublisher {
             format: format_number(ping.samples.format()),
             ..RawHeader::blank()
         };
-        match (&self.port, &ping.samples) {
+        match (&self.port, &*ping.samples) {
             (RawPort::Pdm(port), Samples::Pdm(words)) => port.send(&header, words),
             (RawPort::PcmI16(port), Samples::PcmI16(values)) => port.send(&header, values),
             (RawPort::PcmF32(port), Samples::PcmF32(values)) => port.send(&header, values),
@@ -166,7 +166,7 @@ impl LiveTopics {
     /// [`RawRefusal`]; `ping` is then unchanged.
     pub fn poll(&self, sensor_index: usize, ping: &mut RawPing) -> Option<Result<(), RawRefusal>> {
         let (port, shape) = self.sensors.get(sensor_index)?;
-        match (port, &mut ping.samples) {
+        match (port, ping.samples_mut()) {
             (RawPort::Pdm(port), Samples::Pdm(into)) => {
                 port.next(|header, from| take(sensor_index, shape, header, from, into)).map(|taken| stamp(ping, taken))
             }

@@ -122,7 +122,7 @@ mod tests {
             sensor_index: 1,
             sequence,
             emitted_at: Stamp::default(),
-            samples: Samples::PcmF32(vec![0.0, value, 1.0]),
+            samples: std::sync::Arc::new(Samples::PcmF32(vec![0.0, value, 1.0])),
         }
     }
 

@@ -14,7 +14,7 @@ pub use array::MicrophoneArray;
 pub use dead_zone::{DeadZone, hidden_directions};
 pub use emission::{Emission, EmissionParams, EmissionShape};
 pub use mount::Mount;
-pub use params::{MountParams, SensorParams};
+pub use params::{ERTIS_V3D1, MountParams, SensorParams};
 pub use recording::{RecordingFormat, RecordingParams};
 
 use nalgebra::Vector3;

@@ -2,6 +2,7 @@
 
 use crate::time::Stamp;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// Most sensors that one robot carries here.
 pub const SENSORS_MAX: usize = 3;
@@ -88,8 +89,15 @@ pub struct RawPing {
     pub sequence: u64,
     /// Time of sample 0, the first sample of the emission.
     pub emitted_at: Stamp,
-    /// The samples.
-    pub samples: Samples,
+    /// The samples. Shared, so that the threads that image a ping read it where it lies.
+    pub samples: Arc<Samples>,
+}
+
+impl RawPing {
+    /// The samples, to be written. Copies them first where somebody else still reads them, which happens only after a fault.
+    pub fn samples_mut(&mut self) -> &mut Samples {
+        Arc::make_mut(&mut self.samples)
+    }
 }
 
 /// The pings of one emission of all sensors. A sensor that did not deliver in time has `present[i] == false`; its
@@ -120,7 +128,7 @@ impl PingSet {
                 sensor_index,
                 sequence: 0,
                 emitted_at: Stamp::default(),
-                samples: Samples::zeros(format, len[sensor_index]),
+                samples: Arc::new(Samples::zeros(format, len[sensor_index])),
             })
             .collect();
         Self { sequence: 0, emitted_at: Stamp::default(), pings, present: [false; SENSORS_MAX] }

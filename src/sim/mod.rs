@@ -38,6 +38,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use robot::Robot;
 use score::{Scorer, is_clear};
+use std::sync::Arc;
 
 /// Motion is integrated in steps of at most this.
 const STEP_MAX_S: f64 = 0.01;
@@ -127,12 +128,12 @@ impl Simulator {
         for (sensor, ping) in out.pings.iter_mut().enumerate() {
             let len = self.echoes.raw_len(sensor);
             if ping.samples.format() != self.format || ping.samples.len() != len {
-                ping.samples = Samples::zeros(self.format, len);
+                ping.samples = Arc::new(Samples::zeros(self.format, len));
             }
             ping.sensor_index = sensor;
             ping.sequence = self.ping_count;
             ping.emitted_at = emitted_at;
-            self.echoes.hear(sensor, self.ping_count, &self.obstacles, &mut ping.samples);
+            self.echoes.hear(sensor, self.ping_count, &self.obstacles, ping.samples_mut());
         }
         self.ping_count += 1;
     }

@@ -244,7 +244,7 @@ pub fn ping_set(sequence: u64, samples: Vec<Samples>) -> PingSet {
         sensor_index,
         sequence: sequence + sensor_index as u64,
         emitted_at: Stamp::default(),
-        samples,
+        samples: Arc::new(samples),
     };
     let pings = samples.into_iter().enumerate().map(ping).collect();
     PingSet { sequence, emitted_at: Stamp::default(), pings, present }

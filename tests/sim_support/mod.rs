@@ -126,7 +126,7 @@ pub fn ping(simulator: &mut Simulator) -> PingSet {
 
 /// One microphone's samples of a PCM ping.
 pub fn row(set: &PingSet, sensor: usize, microphone: usize) -> &[f32] {
-    let Samples::PcmF32(values) = &set.pings[sensor].samples else { panic!("not f32") };
+    let Samples::PcmF32(values) = &*set.pings[sensor].samples else { panic!("not f32") };
     &values[microphone * SAMPLES..(microphone + 1) * SAMPLES]
 }
 

@@ -85,7 +85,7 @@ impl CpuBackend {
         last: Stage,
     ) -> Result<(), BackendError> {
         self.work.begin(active, image.channels.iter().map(|report| &report.gains[..]));
-        let lend = |sensor: usize| &pings.pings[sensor].samples;
+        let lend = |sensor: usize| &*pings.pings[sensor].samples;
         self.stage_times_ns = [0; 5];
         for stage in Stage::ALL.into_iter().filter(|stage| *stage <= last) {
             let start = Instant::now();

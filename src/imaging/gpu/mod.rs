@@ -237,7 +237,7 @@ impl GpuBackend {
             self.gains[sensor * stride..][..gains.len()].copy_from_slice(gains);
             let offset = 4 * (sensor * self.program.raw_stride) as u64;
             let raw = self.program.buffer(Resource::Raw);
-            match &ping.samples {
+            match &*ping.samples {
                 Samples::Pdm(words) => queue.write_buffer(raw, offset, bytemuck::cast_slice(words)),
                 Samples::PcmF32(values) if !gains.contains(&0.0) => {
                     queue.write_buffer(raw, offset, bytemuck::cast_slice(values));

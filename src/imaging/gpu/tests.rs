@@ -60,7 +60,7 @@ fn opened() -> Option<(GpuBackend, PingSet, Image)> {
     let mut pings = PingSet::empty(2, SampleFormat::PcmF32, &[plan.raw_len(0), plan.raw_len(1)]);
     pings.present = [true, true, false];
     for ping in &mut pings.pings {
-        let Samples::PcmF32(values) = &mut ping.samples else { unreachable!() };
+        let Samples::PcmF32(values) = ping.samples_mut() else { unreachable!() };
         values.iter_mut().enumerate().for_each(|(index, value)| *value = (index as f32 * 0.7).sin() * 0.1);
     }
     let image = Image::empty(&plan, &masks);

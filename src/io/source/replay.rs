@@ -74,7 +74,7 @@ impl Source for ReplaySource {
         let mut any = false;
         for (index, file) in self.files.iter_mut().enumerate() {
             let ping = &mut pings.pings[index];
-            match file.read_ping(&mut ping.samples) {
+            match file.read_ping(ping.samples_mut()) {
                 Ok(more) => pings.present[index] = more,
                 // One truncated file ends alone; the others go on.
                 Err(error) => log::error!("{error}"),
