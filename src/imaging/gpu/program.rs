@@ -98,12 +98,6 @@ impl Program {
         }
         queue.write_buffer(&self.params, 0, bytes);
     }
-
-    /// Changes a uniform block for the next ping set.
-    #[cfg(test)]
-    pub(super) fn block_mut(&mut self, index: usize) -> &mut Params {
-        &mut self.blocks[index]
-    }
 }
 
 fn make_buffer(gpu: &Gpu, resource: Resource, blueprint: &Blueprint<'_>) -> wgpu::Buffer {

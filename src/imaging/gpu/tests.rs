@@ -127,3 +127,39 @@ fn a_ping_set_given_up_is_drained_before_the_next() {
     backend.image(&pings, &mut image).unwrap();
     assert!(image.sums[0].energy > 0.0);
 }
+
+/// The small plan cut into tiles of one quad of beams; its image equals the uncut one. The faults that a cut can have show.
+#[test]
+fn a_tile_that_is_left_out_or_goes_to_the_wrong_place_is_noticed() {
+    let Some((mut whole, pings, mut truth)) = opened() else { return };
+    whole.image(&pings, &mut truth).unwrap();
+    let (plan, masks) = small();
+    // The samples of both sensors are the largest thing that cannot be cut; one by one they leave room for a few rows.
+    let least = Blueprint::new(&plan, &masks, 1 << 20).map(|blueprint| blueprint.bytes(Resource::Pcm) / 2).unwrap();
+    let mut tiled = GpuBackend::open_within(plan, masks, true, 8000, least).unwrap();
+    assert_eq!(tiled.bank_count(), 2);
+    let mut image = truth.clone();
+    tiled.image(&pings, &mut image).unwrap();
+    assert_eq!(image.energyscapes, truth.energyscapes);
+    assert_eq!(image.sums, truth.sums);
+
+    let last = tiled.program.steps.iter().rposition(|step| step.stage == Stage::Envelope).unwrap();
+    let step = tiled.program.steps.remove(last);
+    let error = tiled.image(&pings, &mut image).unwrap_err();
+    assert!(error.to_string().contains("never written"), "{error}");
+    tiled.program.steps.insert(last, step);
+
+    // The second bank's sums made from the first one's sensor.
+    let bank = tiled.program.steps.iter().rposition(|step| step.stage == Stage::MaskedEnergy).unwrap();
+    let step = tiled.program.steps.remove(bank);
+    assert!(tiled.image(&pings, &mut image).is_err());
+    tiled.program.steps.insert(bank, step);
+
+    // Rows of the last tile turned round: every value is a good one, in a wrong direction.
+    let targets = tiled.program.targets.len();
+    let turned: Vec<[u32; 2]> = tiled.program.targets.iter().rev().copied().collect();
+    assert!(targets == 8 && turned != tiled.program.targets);
+    tiled.gpu.queue.write_buffer(tiled.program.buffer(Resource::Targets), 0, bytemuck::cast_slice(&turned));
+    tiled.image(&pings, &mut image).unwrap();
+    assert_ne!(image.energyscapes, truth.energyscapes);
+}

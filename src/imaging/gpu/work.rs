@@ -5,11 +5,12 @@
 //! no cache held anything from one dispatch to the next, and arithmetic instructions, a multiply-add being one. Bytes that
 //! lanes share, and tables that every workgroup reads, count once a dispatch. Never touches a device, never measures.
 
-use super::params::channel_stride;
+use super::params::{ResultLayout, channel_stride};
 use super::schedule::{BINDING_BYTES_MAX, Blueprint, Dispatch};
 use crate::imaging::backend::{BackendError, Stage};
 use crate::imaging::plan::ImagingPlan;
 use crate::signal::{MaskTable, SampleFormat};
+use std::ops::Range;
 
 /// Instructions of `cos_sin`, counted in the shader: folding 8, two polynomials 10.
 const COS_SIN: u64 = 18;
@@ -83,6 +84,21 @@ pub fn pipelines(plan: &ImagingPlan, masks: &MaskTable) -> Result<Vec<PipelineUs
     Ok(uses)
 }
 
+/// Bytes that every ping set moves to the device, its samples, and back from it, energyscapes and sums.
+#[must_use]
+pub fn transfer_bytes(plan: &ImagingPlan, masks: &MaskTable) -> (u64, u64) {
+    let layout = ResultLayout::new(plan, masks);
+    (raw_bytes(plan, 0..plan.sensors.len()), 4 * (layout.image + layout.sums) as u64)
+}
+
+fn raw_bytes(plan: &ImagingPlan, sensors: Range<usize>) -> u64 {
+    let sample = match plan.format {
+        SampleFormat::PcmI16 => 2,
+        SampleFormat::Pdm | SampleFormat::PcmF32 => 4,
+    };
+    sensors.map(|sensor| sample * plan.raw_len(sensor) as u64).sum()
+}
+
 /// The work of every stage, in the order of [`Stage::ALL`].
 ///
 /// # Errors
@@ -117,12 +133,7 @@ fn count(blueprint: &Blueprint<'_>, dispatch: &Dispatch, entries: u64) -> (u64, 
         dispatch.constants.iter().find(|(known, _)| *known == name).map_or(0.0, |(_, value)| *value) as u64
     };
     let (bins, ranges, samples) = (plan.bin_count as u64, plan.grid.range_count() as u64, plan.sample_count as u64);
-    let raw = match plan.format {
-        SampleFormat::PcmI16 => 2,
-        SampleFormat::Pdm | SampleFormat::PcmF32 => 4,
-    } * (0..sensors)
-        .map(|sensor| plan.raw_len(blueprint.banks[dispatch.bank].sensors.start + sensor) as u64)
-        .sum::<u64>();
+    let raw = raw_bytes(plan, blueprint.banks[dispatch.bank].sensors.clone());
     let streams = 4 * channels * blueprint.bits.block_count as u64;
     let (forward, inverse) = (8 * channels * plan.forward_len as u64, 8 * rows * plan.inverse_len as u64);
     let butterfly =
