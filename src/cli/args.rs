@@ -321,9 +321,10 @@ pub struct ConfigArguments {
     pub default: bool,
 }
 
+/// Accepts a positive, finite number.
 #[cfg(feature = "gpu")]
 fn positive(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    let value: f64 = text.parse().map_err(|_| format!("found {text}, allowed: a number"))?;
     if value > 0.0 && value.is_finite() { Ok(value) } else { Err(format!("found {text}, allowed: a number above 0")) }
 }
 

@@ -10,7 +10,7 @@ use super::super::{Failure, exit};
 use super::stages::Row;
 use crate::config::Config;
 use crate::imaging::backend::Stage;
-use crate::imaging::gpu::{Memory, StageWork, memory, transfer_bytes, workload};
+use crate::imaging::gpu::{DispatchWork, Memory, memory, transfer_bytes, workload};
 use crate::service::wiring;
 use clap::ValueEnum;
 use serde_json::{Value, json};
@@ -56,19 +56,23 @@ impl CardName {
 }
 
 impl Card {
-    /// Time of a stage: the longer of arithmetic and memory, stretched where its smallest dispatch leaves lanes idle.
-    fn stage_ms(&self, work: &StageWork) -> f64 {
+    /// Time of a dispatch: the longer of arithmetic and memory, stretched where it leaves lanes idle.
+    fn dispatch_ms(&self, work: &DispatchWork) -> f64 {
         let instructions_hz = 0.5e9 * self.gflops;
         let compute_ms = 1e3 * work.operations as f64 / (instructions_hz * COMPUTE_EFFICIENCY);
         let memory_ms = 1e3 * work.bytes as f64 / (1e9 * self.gb_s * MEMORY_EFFICIENCY);
         let lanes = instructions_hz / (1e9 * CLOCK_GHZ);
-        let filled = (work.threads_min as f64 / (THREADS_PER_LANE * lanes)).min(1.0);
-        compute_ms.max(memory_ms) / filled + DISPATCH_MS * work.dispatches as f64
+        let filled = (work.threads as f64 / (THREADS_PER_LANE * lanes)).min(1.0);
+        compute_ms.max(memory_ms) / filled + DISPATCH_MS
+    }
+
+    fn stage_ms(&self, prediction: &Prediction, stage: Stage) -> f64 {
+        prediction.of(stage).map(|work| self.dispatch_ms(work)).sum()
     }
 
     /// Time from raw samples in memory to the image there: stages, both transfers, one submission.
     fn image_ms(&self, prediction: &Prediction) -> f64 {
-        let stages: f64 = prediction.stages.iter().map(|work| self.stage_ms(work)).sum();
+        let stages: f64 = Stage::ALL.iter().map(|stage| self.stage_ms(prediction, *stage)).sum();
         let link_gb_s = LINK_GB_S.min(0.25 * self.gb_s);
         stages + (prediction.up_bytes + prediction.down_bytes) as f64 / (1e6 * link_gb_s) + SUBMIT_MS
     }
@@ -77,7 +81,7 @@ impl Card {
 /// The counted work of a number of sensors.
 struct Prediction {
     sensors: usize,
-    stages: [StageWork; 5],
+    dispatches: Vec<DispatchWork>,
     up_bytes: u64,
     down_bytes: u64,
     memory: Memory,
@@ -95,15 +99,20 @@ impl Prediction {
         let unavailable = |error| Failure::new(exit::UNAVAILABLE, error);
         Ok(Self {
             sensors,
-            stages: workload(plan, table).map_err(unavailable)?,
+            dispatches: workload(plan, table).map_err(unavailable)?,
             up_bytes,
             down_bytes,
             memory: memory(plan, table).map_err(unavailable)?,
         })
     }
 
-    fn of_stage(&self, stem: &str) -> Option<&StageWork> {
-        Stage::ALL.iter().position(|stage| stage.stem() == stem).map(|index| &self.stages[index])
+    fn of(&self, stage: Stage) -> impl Iterator<Item = &DispatchWork> {
+        self.dispatches.iter().filter(move |work| work.stage == stage)
+    }
+
+    /// Instructions and bytes of a stage.
+    fn sums(&self, stage: Stage) -> (u64, u64) {
+        self.of(stage).fold((0, 0), |sum, work| (sum.0 + work.operations, sum.1 + work.bytes))
     }
 }
 
@@ -148,17 +157,19 @@ pub fn print(config: &Config, arguments: &BenchArguments, rows: &[Row]) -> Resul
                 rows.iter().find(|row| row.backend == "gpu" && row.sensors == prediction.sensors && row.stage == stage);
             row.map_or("-".to_owned(), |row| format!("{:.3}", row.median_ms))
         };
-        for (stage, work) in Stage::ALL.iter().zip(&prediction.stages) {
-            let times: String = cards.iter().map(|card| format!(" {:>12.3}", card.stage_ms(work))).collect();
+        for stage in Stage::ALL {
+            let times: String =
+                cards.iter().map(|card| format!(" {:>12.3}", card.stage_ms(&prediction, stage))).collect();
+            let (operations, bytes) = prediction.sums(stage);
             print_line(&format!(
                 "{:>7} {:16} {:>10} {:>10} {:>8} {:>10.1} {:>9.2} {:>9}{times}",
                 prediction.sensors,
                 stage.stem(),
-                work.dispatches,
-                work.workgroups_min,
-                work.threads_min,
-                work.operations as f64 * 1e-6,
-                work.bytes as f64 * 1e-6,
+                prediction.of(stage).count(),
+                prediction.of(stage).map(|work| work.workgroups).min().unwrap_or(0),
+                prediction.of(stage).map(|work| work.threads).min().unwrap_or(0),
+                operations as f64 * 1e-6,
+                bytes as f64 * 1e-6,
                 measured(stage.stem())
             ))?;
         }
@@ -198,14 +209,17 @@ pub fn extend(config: &Config, arguments: &BenchArguments, rows: &[Row], results
         let Some(prediction) = predictions.iter().find(|prediction| prediction.sensors == row.sensors) else {
             continue;
         };
-        let times = match prediction.of_stage(&row.stage) {
-            Some(work) => {
-                result["gpu_operations"] = json!(work.operations);
-                result["gpu_bytes"] = json!(work.bytes);
-                cards.iter().map(|card| (card.name.to_owned(), json!(card.stage_ms(work)))).collect()
-            }
-            None => cards.iter().map(|card| (card.name.to_owned(), json!(card.image_ms(prediction)))).collect(),
+        let stage = Stage::ALL.into_iter().find(|stage| stage.stem() == row.stage);
+        let predicted_ms = |card: &Card| match stage {
+            Some(stage) => card.stage_ms(prediction, stage),
+            None => card.image_ms(prediction),
         };
+        if let Some(stage) = stage {
+            let (operations, bytes) = prediction.sums(stage);
+            result["gpu_operations"] = json!(operations);
+            result["gpu_bytes"] = json!(bytes);
+        }
+        let times = cards.iter().map(|card| (card.name.to_owned(), json!(predicted_ms(card)))).collect();
         result["predicted_ms"] = Value::Object(times);
     }
     Ok(())
@@ -215,10 +229,10 @@ pub fn extend(config: &Config, arguments: &BenchArguments, rows: &[Row], results
 mod tests {
     use super::*;
 
-    const WORK: StageWork = StageWork {
-        dispatches: 2,
-        workgroups_min: 2000,
-        threads_min: 128_000,
+    const WORK: DispatchWork = DispatchWork {
+        stage: Stage::Envelope,
+        workgroups: 2000,
+        threads: 128_000,
         operations: 10_000_000,
         bytes: 1_000_000,
     };
@@ -226,17 +240,17 @@ mod tests {
     #[test]
     fn the_longer_of_arithmetic_and_memory_decides() {
         let card = Card { name: "", gflops: 1000.0, gb_s: 100.0 };
-        // 10^7 instructions at a quarter of 5 * 10^11 a second, and two dispatches.
-        assert!((card.stage_ms(&WORK) - (0.08 + 0.016)).abs() < 1e-9);
-        let moved = StageWork { bytes: 70_000_000, ..WORK };
-        assert!((card.stage_ms(&moved) - (1.0 + 0.016)).abs() < 1e-9);
+        // 10^7 instructions at a quarter of 5 * 10^11 a second.
+        assert!((card.dispatch_ms(&WORK) - (0.08 + DISPATCH_MS)).abs() < 1e-9);
+        let moved = DispatchWork { bytes: 70_000_000, ..WORK };
+        assert!((card.dispatch_ms(&moved) - (1.0 + DISPATCH_MS)).abs() < 1e-9);
     }
 
     #[test]
     fn a_dispatch_too_small_for_the_card_is_stretched() {
         let card = Card { name: "", gflops: 26_000.0, gb_s: 1000.0 };
-        let (full, small) = (card.stage_ms(&WORK), card.stage_ms(&StageWork { threads_min: 8000, ..WORK }));
         // 10,000 lanes want 80,000 threads.
-        assert!((small - 0.016 - 10.0 * (full - 0.016)).abs() < 1e-9, "{full} {small}");
+        let (full, small) = (card.dispatch_ms(&WORK), card.dispatch_ms(&DispatchWork { threads: 8000, ..WORK }));
+        assert!((small - DISPATCH_MS - 10.0 * (full - DISPATCH_MS)).abs() < 1e-9, "{full} {small}");
     }
 }

@@ -32,7 +32,7 @@ mod work;
 pub use device::{AdapterDescription, AdapterKind, adapters};
 pub use params::{PARAMS_LAYOUT, Params};
 pub use readback::panic_is_a_lost_device;
-pub use work::{Memory, PipelineUse, StageWork, memory, pipelines, transfer_bytes, workload};
+pub use work::{DispatchWork, Memory, PipelineUse, memory, pipelines, transfer_bytes, workload};
 
 use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput};
 use super::plan::ImagingPlan;

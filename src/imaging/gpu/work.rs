@@ -1,7 +1,7 @@
 //! What the kernels of a ping set move and compute: the counted work of this backend, not the least that would do
 //! (`plan/floor.rs` counts that).
 //!
-//! In: the dispatches of a blueprint, all sensors present. Out: per stage dispatches, workgroups, bytes through the device's memory if
+//! In: the dispatches of a blueprint, all sensors present. Out: per dispatch workgroups, threads, bytes through the device's memory if
 //! no cache held anything from one dispatch to the next, and arithmetic instructions, a multiply-add being one. Bytes that
 //! lanes share, and tables that every workgroup reads, count once a dispatch. Never touches a device, never measures.
 
@@ -15,15 +15,15 @@ use std::ops::Range;
 /// Instructions of `cos_sin`, counted in the shader: folding 8, two polynomials 10.
 const COS_SIN: u64 = 18;
 
-/// The work of one stage.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct StageWork {
-    /// Dispatches.
-    pub dispatches: u64,
-    /// Workgroups of the smallest of them: what a GPU has to spread over its cores.
-    pub workgroups_min: u64,
-    /// Threads of the smallest of them.
-    pub threads_min: u64,
+/// The work of one dispatch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DispatchWork {
+    /// The stage that it is a part of.
+    pub stage: Stage,
+    /// Workgroups: what a GPU has to spread over its cores.
+    pub workgroups: u64,
+    /// Threads that have something to do.
+    pub threads: u64,
     /// Arithmetic instructions.
     pub operations: u64,
     /// Bytes read and written.
@@ -99,24 +99,18 @@ fn raw_bytes(plan: &ImagingPlan, sensors: Range<usize>) -> u64 {
     sensors.map(|sensor| sample * plan.raw_len(sensor) as u64).sum()
 }
 
-/// The work of every stage, in the order of [`Stage::ALL`].
+/// The work of every dispatch, in order.
 ///
 /// # Errors
 /// As [`memory`].
-pub fn workload(plan: &ImagingPlan, masks: &MaskTable) -> Result<[StageWork; 5], BackendError> {
+pub fn workload(plan: &ImagingPlan, masks: &MaskTable) -> Result<Vec<DispatchWork>, BackendError> {
     let blueprint = Blueprint::new(plan, masks, BINDING_BYTES_MAX)?;
-    let mut work = [StageWork { workgroups_min: u64::MAX, threads_min: u64::MAX, ..StageWork::default() }; 5];
-    for dispatch in &blueprint.dispatches {
-        let stage = &mut work[dispatch.kernel.stage as usize];
+    let one = |dispatch: &Dispatch| {
         let (operations, bytes) = count(&blueprint, dispatch, masks.cells.len() as u64);
-        stage.dispatches += 1;
-        stage.workgroups_min =
-            stage.workgroups_min.min(dispatch.groups().iter().map(|groups| u64::from(*groups)).product());
-        stage.threads_min = stage.threads_min.min(threads(dispatch));
-        stage.operations += operations;
-        stage.bytes += bytes;
-    }
-    Ok(work)
+        let workgroups = dispatch.groups().iter().map(|groups| u64::from(*groups)).product();
+        DispatchWork { stage: dispatch.kernel.stage, workgroups, threads: threads(dispatch), operations, bytes }
+    };
+    Ok(blueprint.dispatches.iter().map(one).collect())
 }
 
 fn threads(dispatch: &Dispatch) -> u64 {
