@@ -70,11 +70,14 @@ impl Card {
         prediction.of(stage).map(|work| self.dispatch_ms(work)).sum()
     }
 
-    /// Time from raw samples in memory to the image there: stages, both transfers, one submission.
+    /// Time from raw samples in memory to the image there: stages, both transfers, one submission. Samples are copied once on the card;
+    /// the result is poisoned before and copied after, each a read and a write.
     fn image_ms(&self, prediction: &Prediction) -> f64 {
         let stages: f64 = Stage::ALL.iter().map(|stage| self.stage_ms(prediction, *stage)).sum();
         let link_gb_s = LINK_GB_S.min(0.25 * self.gb_s);
-        stages + (prediction.up_bytes + prediction.down_bytes) as f64 / (1e6 * link_gb_s) + SUBMIT_MS
+        let moved_ms = (prediction.up_bytes + prediction.down_bytes) as f64 / (1e6 * link_gb_s);
+        let copied = (2 * prediction.up_bytes + 4 * prediction.down_bytes) as f64;
+        stages + moved_ms + copied / (1e6 * self.gb_s * MEMORY_EFFICIENCY) + SUBMIT_MS
     }
 }
 

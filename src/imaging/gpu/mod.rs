@@ -1,22 +1,17 @@
 //! GPU twin: the five stages as WGSL kernels through wgpu, one submission a ping set.
 //!
-//! In: raw pings and the channels' gains. Out: energyscapes and masked sums. `program.rs` makes every buffer and pipeline at open;
-//! here is the order of a ping set: upload, poison, dispatch, read back, check. Every wait ends, every error comes back as a
-//! [`BackendError`], nothing panics. Never judges channels and never chooses between backends.
+//! In: raw pings and the channels' gains. Out: energyscapes and masked sums. `schedule.rs` lists the dispatches and cuts them so that no
+//! binding grows too large, `program.rs` makes every buffer and pipeline at open; here is the order of a ping set: upload, poison,
+//! dispatch, read back, check. Every wait ends, every error comes back as a [`BackendError`], nothing panics. Never judges channels
+//! and never chooses between backends.
 //!
-//! Counted for the default plan, three sensors of 32 channels, PDM, 180 directions, 941 ranges: 11 dispatches, 2.0 MB up,
-//! 2.0 MB down. Through the device's memory, caches left aside:
+//! Counted for the default plan, three sensors of 32 channels, PDM, 180 directions, 941 ranges: 11 dispatches, 2.0 MB up, 2.0 MB down,
+//! 27 MB of buffers. `noctule bench --backend gpu` prints the count of every stage (`work.rs`), what cards of known peaks should
+//! make of it, and what this one does.
 //!
-//! | stage | dispatches | MB | why |
-//! |---|---|---|---|
-//! | demodulate | 2 | 12 | words, bit streams there and back, PCM |
-//! | matched_filter | 4 | 16 | PCM once, N1 = 2048 complex values a channel there and back three times |
-//! | delay_and_sum | 1 | 6 | 0.8 of spectra (again from the cache for every four beams), spectra of 540 directions |
-//! | envelope | 3 | 28 | M = 1250 complex values a direction there and back twice, energyscapes |
-//! | masked_energy | 1 | 2 + 32 bytes an entry | energyscapes, the table twice |
-//!
-//! Poisoning moves 4 MB more. Arithmetic: 0.1 G additions of table values, 0.05 G multiply-adds of the band filter, 0.1 G of
-//! delay-and-sum with its sines, 0.1 G of the transforms.
+//! Nothing here overlaps one ping set with the next: the path to a command waits for each result at once, so that a second set in
+//! flight could only make it later. Who has recordings to get through opens two backends, one on each of two threads: one is
+//! computed while the other is uploaded and read back.
 
 mod device;
 mod params;
