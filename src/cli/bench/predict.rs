@@ -201,7 +201,7 @@ pub fn print(config: &Config, arguments: &BenchArguments, rows: &[Row]) -> Resul
 /// Adds `predicted_ms` by card, `gpu_operations` and `gpu_bytes` to the JSON of the GPU's rows.
 ///
 /// # Errors
-/// As [`print`].
+/// As [`print()`].
 pub fn extend(config: &Config, arguments: &BenchArguments, rows: &[Row], results: &mut [Value]) -> Result<(), Failure> {
     let cards = cards(arguments);
     if cards.is_empty() {

@@ -35,7 +35,7 @@ use crate::signal::{MaskTable, PingSet, RowSums, SENSORS_MAX, Samples};
 use device::Gpu;
 use params::{NONCE_WORDS, ResultLayout, channel_stride};
 use program::{Program, Step};
-use readback::{POISON, Staging, check_cells, check_nonce, checked_sums};
+use readback::{Staging, check_cells, check_nonce, checked_sums, poison_buffer};
 use schedule::{BINDING_BYTES_MAX, Blueprint, Resource};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -44,9 +44,6 @@ use timing::Timing;
 
 /// Limit of the first ping set, at open, in which drivers compile, and of reading a stage's output back.
 const SLOW_LIMIT: Duration = Duration::from_secs(8);
-
-/// Most bytes of the buffer that the result is poisoned from, piece by piece.
-const POISON_BYTES_MAX: u64 = 1 << 20;
 
 /// Counts devices: the result of one can never pass for that of another.
 static EPOCH: AtomicU32 = AtomicU32::new(1);
@@ -106,10 +103,10 @@ impl GpuBackend {
         let gpu = device::open(allow_software, blueprint.needs())?;
         let layout = blueprint.layout;
         let program = Program::new(&gpu, blueprint)?;
-        let timing = Timing::new(&gpu, passes(&program.steps));
-        let staging_bytes = staged_bytes(&layout) + timing.as_ref().map_or(0, Timing::bytes);
+        let timing = Timing::new(&gpu, program.passes());
+        let staging_bytes = layout.bytes() + timing.as_ref().map_or(0, Timing::bytes);
         let mut backend = Self {
-            poison: poison_buffer(&gpu, (4 * layout.image.max(layout.sums) as u64).min(POISON_BYTES_MAX)),
+            poison: poison_buffer(&gpu, layout.bytes()),
             staging: Staging::new(&gpu, staging_bytes),
             timing,
             limit: Duration::from_millis(deadline_ms),
@@ -202,7 +199,7 @@ impl GpuBackend {
         encoder.copy_buffer_to_buffer(self.program.buffer(Resource::Image), 0, staging, 0, image);
         encoder.copy_buffer_to_buffer(self.program.buffer(Resource::Sums), 0, staging, image, sums);
         if let Some(timing) = &self.timing {
-            timing.resolve(&mut encoder, staging, staged_bytes(&self.layout));
+            timing.resolve(&mut encoder, staging, self.layout.bytes());
         }
         self.gpu.queue.submit([encoder.finish()]);
         self.gpu.faults.check()?;
@@ -299,7 +296,7 @@ impl GpuBackend {
         let (layout, nonce, masks) = (self.layout, self.nonce, Arc::clone(&self.masks));
         let timing = self.timing.as_ref();
         self.stage_times_ns = self.staging.read(|bytes| {
-            let (result, times) = bytes.split_at(staged_bytes(&layout) as usize);
+            let (result, times) = bytes.split_at(layout.bytes() as usize);
             let words: &[u32] =
                 bytemuck::try_cast_slice(result).map_err(|error| BackendError::Invalid(error.to_string()))?;
             let (words, sums) = words.split_at(layout.image);
@@ -472,27 +469,6 @@ impl Drop for GpuBackend {
             std::mem::forget((self.gpu.device.clone(), self.gpu.queue.clone()));
         }
     }
-}
-
-fn poison_buffer(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
-    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("poison"),
-        size: bytes,
-        usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
-    gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(&vec![POISON; bytes as usize / 4]));
-    buffer
-}
-
-/// Bytes of the result in the staging buffer; timestamps follow.
-fn staged_bytes(layout: &ResultLayout) -> u64 {
-    4 * (layout.image + layout.sums) as u64
-}
-
-/// Stage of every compute pass.
-fn passes(steps: &[Step]) -> Vec<Stage> {
-    steps.chunk_by(Step::goes_with).map(|steps| steps[0].stage).collect()
 }
 
 fn complex(words: &[u32]) -> Vec<[f32; 2]> {

@@ -114,6 +114,11 @@ impl ResultLayout {
         let nonce = 8 * masks.rows.len();
         Self { cells, stride, image: stride * plan.sensors.len(), nonce, sums: nonce + NONCE_WORDS }
     }
+
+    /// Bytes of both, one behind the other.
+    pub(super) fn bytes(&self) -> u64 {
+        4 * (self.image + self.sums) as u64
+    }
 }
 
 /// A binding begins at a multiple of this many words (256 bytes) on every device.

@@ -83,6 +83,11 @@ impl Program {
         self.params.size() + self.buffers.iter().map(wgpu::Buffer::size).sum::<u64>()
     }
 
+    /// Stage of every compute pass.
+    pub(super) fn passes(&self) -> Vec<Stage> {
+        self.steps.chunk_by(Step::goes_with).map(|steps| steps[0].stage).collect()
+    }
+
     /// The bank that images a sensor.
     pub(super) fn bank_of(&self, sensor: usize) -> usize {
         self.banks.iter().position(|bank| bank.sensors.contains(&sensor)).unwrap_or(0)

@@ -400,7 +400,7 @@ impl<'a> Blueprint<'a> {
         list.push("band_filter", &phases, &[Pcm, BandTaps, WorkA], outputs)?;
         let (mut from, mut to) = (WorkA, WorkB);
         for (index, pass) in self.forward.iter().enumerate() {
-            let constants = pass_constants(*pass, plan.forward_len);
+            let constants = pass.constants(plan.forward_len);
             let threads = [plan.forward_len as u32 / pass.radix(), (sensors * channels) as u32, 1];
             if index + 1 == self.forward.len() {
                 list.push("forward_last", &constants, &[from, Spectra, Reference, Gains], threads)?;
@@ -418,7 +418,7 @@ impl<'a> Blueprint<'a> {
         let smooth = !plan.smoothing_taps.is_empty();
         let (mut from, mut to) = (WorkA, WorkB);
         for (index, pass) in self.inverse.iter().enumerate() {
-            let constants = pass_constants(*pass, plan.inverse_len);
+            let constants = pass.constants(plan.inverse_len);
             let threads = [plan.inverse_len as u32 / pass.radix(), rows, 1];
             if index + 1 < self.inverse.len() {
                 let name = if index == 0 { "inverse_first" } else { "inverse_pass" };
@@ -491,13 +491,4 @@ fn delay_and_sum(plan: &ImagingPlan, list: &mut List, part: &Part) -> Result<(),
     ];
     let bindings = [Resource::Spectra, Resource::Turns, Resource::Beams, Resource::WorkA];
     list.push("delay_and_sum", &constants, &bindings, [plan.bin_count as u32, part.quads.len() as u32, 1])
-}
-
-fn pass_constants(pass: Pass, len: usize) -> [(&'static str, f64); 4] {
-    [
-        ("RADIX_ROWS", f64::from(pass.rows)),
-        ("RADIX_COLUMNS", f64::from(pass.columns)),
-        ("LEN", len as f64),
-        ("SPAN", f64::from(pass.span)),
-    ]
 }

@@ -87,8 +87,7 @@ pub fn pipelines(plan: &ImagingPlan, masks: &MaskTable) -> Result<Vec<PipelineUs
 /// Bytes that every ping set moves to the device, its samples, and back from it, energyscapes and sums.
 #[must_use]
 pub fn transfer_bytes(plan: &ImagingPlan, masks: &MaskTable) -> (u64, u64) {
-    let layout = ResultLayout::new(plan, masks);
-    (raw_bytes(plan, 0..plan.sensors.len()), 4 * (layout.image + layout.sums) as u64)
+    (raw_bytes(plan, 0..plan.sensors.len()), ResultLayout::new(plan, masks).bytes())
 }
 
 fn raw_bytes(plan: &ImagingPlan, sensors: Range<usize>) -> u64 {
