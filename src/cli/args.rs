@@ -170,8 +170,8 @@ pub struct OperatorArguments {
   noctule process day1 --out images --shard 3/8         # the third of eight parts, in any order, on any machines
   parallel noctule process day1 --out images --jobs 1 --shard {}/8 ::: $(seq 8)")]
 pub struct ProcessArguments {
-    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], or eRTIS .bin; or folders of
-    /// them.
+    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], or eRTIS .bin; or
+    /// folders of them.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
     #[command(flatten)]
@@ -218,6 +218,10 @@ pub struct MasksArguments {
 
 /// `bench`.
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  noctule bench                                  every stage, CPU and GPU side by side, beside the counted floor
+  noctule bench --latency --busy                 last sample to command, idle and with all cores at work
+  noctule bench --scaling --plot scaling.png     time and memory against microphones, directions, sensors, samples")]
 pub struct BenchArguments {
     #[command(flatten)]
     pub choice: ConfigChoice,
@@ -261,7 +265,8 @@ pub struct BenchArguments {
     #[arg(long)]
     pub latency: bool,
     /// Ping sets that --latency sends, 20 a second.
-    #[arg(long, value_name = "N", default_value_t = 400, requires = "latency", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 400, requires = "latency",
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub sets: u32,
     /// Measure --latency a second time, with all cores kept at work.
     #[arg(long, requires = "latency")]
