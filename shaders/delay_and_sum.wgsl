@@ -6,21 +6,20 @@
 // a cos, b sin, b cos, a sin; their sums make both directions, so that the mirror image is free, as are the angles of further sensors.
 // Nothing is folded here: the first pass of `envelope` adds the bins that fall together as it reads them.
 //
-// Bindings: 1 spectra [channel][bin], 2 turns a bin of four beams [quad][channel], 3 directions of every beam and its mirror
-// image, 4 spectra of the directions [direction][bin]. Rows of sensors stand one after another in 1 and 4.
+// Bindings: 1 spectra [channel][bin], 2 turns a bin of four beams [quad][channel], 3 slots of every beam and its mirror
+// image, 4 spectra of the directions [row][bin]: the tile's slots of the first sensor, then of the next. Sensors stand one after
+// another in 1, too.
 // Workgroups of 64 along bins: loads and stores are contiguous, the turns are the same for all lanes.
 
-// The sensors that share this steering, their number, and their channels.
+// The sensors of the bank that share this steering, their number, and their channels.
 override SENSOR_A: u32 = 0u;
 override SENSOR_B: u32 = 0u;
 override SENSOR_C: u32 = 0u;
 override SENSORS: u32 = 1u;
 override CHANNELS: u32 = 32u;
-// First quad of beams of this steering.
-override QUAD_FIRST: u32 = 0u;
 
 // A beam without a mirror image.
-const NO_DIRECTION: u32 = 0xffffffffu;
+const NO_SLOT: u32 = 0xffffffffu;
 
 @group(0) @binding(1) var<storage, read> spectra: array<vec2<f32>>;
 @group(0) @binding(2) var<storage, read> turns: array<vec4<f32>>;
@@ -35,16 +34,18 @@ struct Sums {
     a_sin: vec4<f32>,
 }
 
-fn store(sensor: u32, direction: u32, bin: u32, value: vec2<f32>) {
-    if (direction != NO_DIRECTION) {
-        output[(sensor * params.direction_count + direction) * params.bin_count + bin] = value;
+fn store(row: u32, slot: u32, bin: u32, value: vec2<f32>) {
+    if (slot != NO_SLOT) {
+        output[(row + slot - params.slot_first) * params.bin_count + bin] = value;
     }
 }
 
-fn store_beams(sensor: u32, quad: u32, bin: u32, sums: Sums) {
+// Stores the beams of the `index`-th sensor of this steering.
+fn store_beams(sensor: u32, index: u32, quad: u32, bin: u32, sums: Sums) {
     if (!is_present(sensor)) {
         return;
     }
+    let row = params.row_base + index * params.row_step;
     let re = sums.a_cos + sums.b_sin;
     let im = sums.b_cos - sums.a_sin;
     let mirrored_re = sums.a_cos - sums.b_sin;
@@ -53,14 +54,14 @@ fn store_beams(sensor: u32, quad: u32, bin: u32, sums: Sums) {
     let beam_1 = beams[4u * quad + 1u];
     let beam_2 = beams[4u * quad + 2u];
     let beam_3 = beams[4u * quad + 3u];
-    store(sensor, beam_0.x, bin, vec2<f32>(re.x, im.x));
-    store(sensor, beam_1.x, bin, vec2<f32>(re.y, im.y));
-    store(sensor, beam_2.x, bin, vec2<f32>(re.z, im.z));
-    store(sensor, beam_3.x, bin, vec2<f32>(re.w, im.w));
-    store(sensor, beam_0.y, bin, vec2<f32>(mirrored_re.x, mirrored_im.x));
-    store(sensor, beam_1.y, bin, vec2<f32>(mirrored_re.y, mirrored_im.y));
-    store(sensor, beam_2.y, bin, vec2<f32>(mirrored_re.z, mirrored_im.z));
-    store(sensor, beam_3.y, bin, vec2<f32>(mirrored_re.w, mirrored_im.w));
+    store(row, beam_0.x, bin, vec2<f32>(re.x, im.x));
+    store(row, beam_1.x, bin, vec2<f32>(re.y, im.y));
+    store(row, beam_2.x, bin, vec2<f32>(re.z, im.z));
+    store(row, beam_3.x, bin, vec2<f32>(re.w, im.w));
+    store(row, beam_0.y, bin, vec2<f32>(mirrored_re.x, mirrored_im.x));
+    store(row, beam_1.y, bin, vec2<f32>(mirrored_re.y, mirrored_im.y));
+    store(row, beam_2.y, bin, vec2<f32>(mirrored_re.z, mirrored_im.z));
+    store(row, beam_3.y, bin, vec2<f32>(mirrored_re.w, mirrored_im.w));
 }
 
 @compute @workgroup_size(64)
@@ -69,7 +70,7 @@ fn delay_and_sum(@builtin(global_invocation_id) id: vec3<u32>) {
     if (bin >= params.bin_count) {
         return;
     }
-    let quad = QUAD_FIRST + id.y;
+    let quad = params.quad_first + id.y;
     let frequency = f32(params.first_bin + bin);
     let channel_bins = params.channel_stride * params.bin_count;
     var a = Sums();
@@ -98,11 +99,11 @@ fn delay_and_sum(@builtin(global_invocation_id) id: vec3<u32>) {
             c.a_sin += value_c.x * angle.sine;
         }
     }
-    store_beams(SENSOR_A, quad, bin, a);
+    store_beams(SENSOR_A, 0u, quad, bin, a);
     if (SENSORS > 1u) {
-        store_beams(SENSOR_B, quad, bin, b);
+        store_beams(SENSOR_B, 1u, quad, bin, b);
     }
     if (SENSORS > 2u) {
-        store_beams(SENSOR_C, quad, bin, c);
+        store_beams(SENSOR_C, 2u, quad, bin, c);
     }
 }

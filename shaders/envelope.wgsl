@@ -6,22 +6,33 @@
 // butterfly (see common/fft.wgsl; real and imaginary parts are exchanged at the first load, which makes the transform the inverse
 // one and leaves the magnitude as it is) or one cell of `smooth_rows`.
 //
-// Bindings: 1 source, 2 output, complex [direction][bin or n], 3 hidden flags [direction], 4 energyscapes [direction][range],
-// 5 magnitudes [direction][n], 6 smoothing taps. Directions are rows, sensor * count + direction.
+// Bindings: 1 source, 2 output, complex [row][bin or n], 3 targets [row], 4 energyscapes [direction][range], 5 magnitudes [row][n],
+// 6 smoothing taps. A row is a direction of one sensor, as delay-and-sum left it; its target says where its energies go.
 // Workgroups: 16 butterflies by 8 rows, since a row has few butterflies and lanes along a row read neighbours; `smooth_rows` 64 along
 // a row.
 
 @group(0) @binding(1) var<storage, read> source: array<vec2<f32>>;
 @group(0) @binding(2) var<storage, read_write> output: array<vec2<f32>>;
-@group(0) @binding(3) var<storage, read> hidden: array<u32>;
+// First cell of the row in the energyscapes; sensor of the bank, and HIDDEN_BIT for a hidden direction.
+@group(0) @binding(3) var<storage, read> targets: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read_write> energies: array<f32>;
 @group(0) @binding(5) var<storage, read_write> magnitudes: array<f32>;
 @group(0) @binding(6) var<storage, read> smoothing: array<f32>;
 
+const HIDDEN_BIT: u32 = 0x80000000u;
+
+fn target_of(row: u32) -> vec2<u32> {
+    return targets[params.tile_target_first + row];
+}
+
+// Whether something is to be computed for this row.
+fn is_row(row: u32) -> bool {
+    return row < params.tile_row_count && is_present(target_of(row).y & ~HIDDEN_BIT);
+}
+
 // Whether butterfly q of a row is to be computed.
 fn is_wanted(row: u32, q: u32) -> bool {
-    return q < butterfly_count() && row < params.sensor_count * params.direction_count
-        && is_present(row / params.direction_count);
+    return q < butterfly_count() && is_row(row);
 }
 
 // Sum of the bins that fall into place n of M, exchanged for the inverse transform.
@@ -45,11 +56,11 @@ fn magnitude(value: vec2<f32>) -> f32 {
     return sqrt(value.x * value.x + value.y * value.y);
 }
 
-fn keep_energy(row: u32, q: u32, k: u32) {
+fn keep_energy(place: vec2<u32>, q: u32, k: u32) {
     if (k < radix()) {
         let n = output_place(q, k);
         if (n < params.range_count) {
-            energies[row * params.range_count + n] = select(magnitude(transformed(k)), 0.0, hidden[row] != 0u);
+            energies[place.x + n] = select(magnitude(transformed(k)), 0.0, (place.y & HIDDEN_BIT) != 0u);
         }
     }
 }
@@ -99,13 +110,14 @@ fn inverse_last(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     fetch_all(row, q);
     transform_values();
-    keep_energy(row, q, 0u); keep_energy(row, q, 1u); keep_energy(row, q, 2u); keep_energy(row, q, 3u);
-    keep_energy(row, q, 4u); keep_energy(row, q, 5u); keep_energy(row, q, 6u); keep_energy(row, q, 7u);
-    keep_energy(row, q, 8u); keep_energy(row, q, 9u); keep_energy(row, q, 10u); keep_energy(row, q, 11u);
-    keep_energy(row, q, 12u); keep_energy(row, q, 13u); keep_energy(row, q, 14u); keep_energy(row, q, 15u);
-    keep_energy(row, q, 16u); keep_energy(row, q, 17u); keep_energy(row, q, 18u); keep_energy(row, q, 19u);
-    keep_energy(row, q, 20u); keep_energy(row, q, 21u); keep_energy(row, q, 22u); keep_energy(row, q, 23u);
-    keep_energy(row, q, 24u); keep_energy(row, q, 25u); keep_energy(row, q, 26u); keep_energy(row, q, 27u);
+    let place = target_of(row);
+    keep_energy(place, q, 0u); keep_energy(place, q, 1u); keep_energy(place, q, 2u); keep_energy(place, q, 3u);
+    keep_energy(place, q, 4u); keep_energy(place, q, 5u); keep_energy(place, q, 6u); keep_energy(place, q, 7u);
+    keep_energy(place, q, 8u); keep_energy(place, q, 9u); keep_energy(place, q, 10u); keep_energy(place, q, 11u);
+    keep_energy(place, q, 12u); keep_energy(place, q, 13u); keep_energy(place, q, 14u); keep_energy(place, q, 15u);
+    keep_energy(place, q, 16u); keep_energy(place, q, 17u); keep_energy(place, q, 18u); keep_energy(place, q, 19u);
+    keep_energy(place, q, 20u); keep_energy(place, q, 21u); keep_energy(place, q, 22u); keep_energy(place, q, 23u);
+    keep_energy(place, q, 24u); keep_energy(place, q, 25u); keep_energy(place, q, 26u); keep_energy(place, q, 27u);
 }
 
 @compute @workgroup_size(16, 8)
@@ -130,8 +142,7 @@ fn inverse_last_whole(@builtin(global_invocation_id) id: vec3<u32>) {
 fn smooth_rows(@builtin(global_invocation_id) id: vec3<u32>) {
     let n = id.x;
     let row = id.y;
-    if (n >= params.range_count || row >= params.sensor_count * params.direction_count
-        || !is_present(row / params.direction_count)) {
+    if (n >= params.range_count || !is_row(row)) {
         return;
     }
     let length = params.inverse_len;
@@ -141,5 +152,6 @@ fn smooth_rows(@builtin(global_invocation_id) id: vec3<u32>) {
         sum += smoothing[tap] * magnitudes[row * length + at];
         at = select(at + 1u, 0u, at + 1u == length);
     }
-    energies[row * params.range_count + n] = select(sum, 0.0, hidden[row] != 0u);
+    let place = target_of(row);
+    energies[place.x + n] = select(sum, 0.0, (place.y & HIDDEN_BIT) != 0u);
 }

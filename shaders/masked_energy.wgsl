@@ -6,19 +6,24 @@
 // energy and peak infinite and takes no part in sums that have a side. Energies and distances are never negative, so their bits
 // compare as they do. The last workgroup writes the nonce that proves that this submission ran.
 //
-// Bindings: 1 result: energyscapes, then the sums, then the nonce, 2 entries (cell, range index and side, distance), 3 rows
-// (sensor, first, count), 4 per sensor and range: gain, floor, 1 / r^2, sqrt(r).
-// Workgroups of 128: flow lines have a hundred cells, regions thousands; the tree of additions has seven steps.
+// Bindings: 1 energyscapes of the bank, 2 entries (cell and side, distance), 3 rows (sensor, first, count), 4 per sensor and range:
+// gain, floor, 1 / r^2, sqrt(r), 5 sums, then the nonce.
+// Workgroups of 128: flow lines have a hundred cells, regions thousands. Lanes are added up in two steps of 8 and 16, with two
+// barriers: a tree of halves would have seven.
 
 const GROUP: u32 = 128u;
+// Lanes that remain after the first step of a sum.
+const LEFT: u32 = 16u;
 const NO_CELL: u32 = 0xffffffffu;
 const INFINITY_BITS: u32 = 0x7f800000u;
 const RIGHT_BIT: u32 = 0x80000000u;
 
-@group(0) @binding(1) var<storage, read_write> result: array<u32>;
-@group(0) @binding(2) var<storage, read> entries: array<vec4<u32>>;
+// Bits, not numbers: see above.
+@group(0) @binding(1) var<storage, read> energies: array<u32>;
+@group(0) @binding(2) var<storage, read> entries: array<vec2<u32>>;
 @group(0) @binding(3) var<storage, read> rows: array<vec4<u32>>;
 @group(0) @binding(4) var<storage, read> ranges: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> result: array<u32>;
 
 // Energy, turn, flow; number of cells above zero.
 var<workgroup> sums: array<vec4<f32>, GROUP>;
@@ -31,11 +36,14 @@ fn is_finite(bits: u32) -> bool {
     return (bits & INFINITY_BITS) != INFINITY_BITS;
 }
 
-// Bits of E of an entry; infinity where it is not finite.
-fn energy_bits(sensor: u32, entry: vec4<u32>) -> u32 {
-    let range = ranges[sensor * params.range_count + (entry.y & ~RIGHT_BIT)];
-    let offset = sensor * params.direction_count * params.range_count;
-    let product = bitcast<f32>(result[offset + entry.x]) * range.x;
+// Gain, floor, 1 / r^2, sqrt(r) of a cell.
+fn range_of(sensor: u32, cell: u32) -> vec4<f32> {
+    return ranges[sensor * params.range_count + cell % params.range_count];
+}
+
+// Bits of E of a cell; infinity where it is not finite.
+fn energy_bits(first_cell: u32, cell: u32, range: vec4<f32>) -> u32 {
+    let product = bitcast<f32>(energies[first_cell + cell]) * range.x;
     let bits = bitcast<u32>(product);
     if (!is_finite(bits)) {
         return INFINITY_BITS;
@@ -63,33 +71,43 @@ fn masked_energy(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     if (row_index < params.row_count) {
         row = rows[row_index];
     }
-    if (!is_present(row.x)) {
+    // Wraps to a large number below the bank's first sensor.
+    let sensor = row.x - params.sensor_first;
+    let is_ours = sensor < params.sensor_count && row_index < params.row_count;
+    if (!is_ours || !is_present(sensor)) {
         row.z = 0u;
     }
+    let first_cell = sensor * params.cell_stride;
     var sum = vec4<f32>(0.0);
     var peak = vec2<u32>(0u, NO_CELL);
     for (var index = lane; index < row.z; index += GROUP) {
         let entry = entries[row.y + index];
-        let bits = energy_bits(row.x, entry);
+        let cell = entry.x & ~RIGHT_BIT;
+        let range = range_of(row.x, cell);
+        let bits = energy_bits(first_cell, cell, range);
         if (bits != 0u) {
             let energy = bitcast<f32>(select(bits, 0u, bits == INFINITY_BITS));
-            let range = ranges[row.x * params.range_count + (entry.y & ~RIGHT_BIT)];
-            let turn = select(energy * range.z, -energy * range.z, (entry.y & RIGHT_BIT) != 0u);
+            let turn = select(energy * range.z, -energy * range.z, (entry.x & RIGHT_BIT) != 0u);
             sum += vec4<f32>(energy, turn, energy * range.w, 1.0);
             peak = larger(peak, vec2<u32>(bits, index));
         }
     }
     sums[lane] = sum;
     peaks[lane] = peak;
-    for (var step = GROUP / 2u; step > 0u; step /= 2u) {
-        workgroupBarrier();
-        if (lane < step) {
-            sums[lane] += sums[lane + step];
-            peaks[lane] = larger(peaks[lane], peaks[lane + step]);
+    workgroupBarrier();
+    if (lane < LEFT) {
+        for (var other = lane + LEFT; other < GROUP; other += LEFT) {
+            sum += sums[other];
+            peak = larger(peak, peaks[other]);
         }
+        sums[lane] = sum;
+        peaks[lane] = peak;
     }
     workgroupBarrier();
-    let largest = peaks[0];
+    var largest = peaks[0];
+    for (var other = 1u; other < LEFT; other++) {
+        largest = larger(largest, peaks[other]);
+    }
     let half_peak = 0.5 * bitcast<f32>(select(largest.x, 0u, largest.x == INFINITY_BITS));
     let half_bits = select(bitcast<u32>(half_peak), INFINITY_BITS, largest.x == INFINITY_BITS);
 
@@ -97,36 +115,41 @@ fn masked_energy(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     if (largest.x != 0u) {
         for (var index = lane; index < row.z; index += GROUP) {
             let entry = entries[row.y + index];
-            let bits = energy_bits(row.x, entry);
-            if (bits >= half_bits) {
-                nearest = nearer(nearest, vec2<u32>(entry.z, index));
+            let cell = entry.x & ~RIGHT_BIT;
+            if (energy_bits(first_cell, cell, range_of(row.x, cell)) >= half_bits) {
+                nearest = nearer(nearest, vec2<u32>(entry.y, index));
             }
         }
     }
     nearests[lane] = nearest;
-    for (var step = GROUP / 2u; step > 0u; step /= 2u) {
-        workgroupBarrier();
-        if (lane < step) {
-            nearests[lane] = nearer(nearests[lane], nearests[lane + step]);
+    workgroupBarrier();
+    if (lane < LEFT) {
+        for (var other = lane + LEFT; other < GROUP; other += LEFT) {
+            nearest = nearer(nearest, nearests[other]);
         }
+        nearests[lane] = nearest;
     }
     workgroupBarrier();
-    if (lane == 0u && row_index < params.row_count) {
-        let total = sums[0];
-        let at = params.sums_offset + 8u * row_index;
-        result[at] = select(bitcast<u32>(total.x), INFINITY_BITS, largest.x == INFINITY_BITS);
-        result[at + 1u] = bitcast<u32>(total.y);
-        result[at + 2u] = bitcast<u32>(total.z);
+    if (lane == 0u && is_ours) {
+        for (var other = 1u; other < LEFT; other++) {
+            sum += sums[other];
+            nearest = nearer(nearest, nearests[other]);
+        }
+        let at = 8u * row_index;
+        result[at] = select(bitcast<u32>(sum.x), INFINITY_BITS, largest.x == INFINITY_BITS);
+        result[at + 1u] = bitcast<u32>(sum.y);
+        result[at + 2u] = bitcast<u32>(sum.z);
         result[at + 3u] = largest.x;
-        result[at + 4u] = nearests[0].x;
+        result[at + 4u] = nearest.x;
         result[at + 5u] = largest.y;
-        result[at + 6u] = nearests[0].y;
-        result[at + 7u] = u32(total.w);
+        result[at + 6u] = nearest.y;
+        result[at + 7u] = u32(sum.w);
     }
     if (lane == 0u && row_index + 1u >= params.row_count) {
-        result[params.nonce_offset] = params.nonce_low;
-        result[params.nonce_offset + 1u] = params.nonce_high;
-        result[params.nonce_offset + 2u] = params.nonce_epoch;
-        result[params.nonce_offset + 3u] = params.present;
+        let at = 8u * params.row_count;
+        result[at] = params.nonce_low;
+        result[at + 1u] = params.nonce_high;
+        result[at + 2u] = params.nonce_epoch;
+        result[at + 3u] = params.present;
     }
 }

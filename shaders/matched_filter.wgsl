@@ -7,7 +7,7 @@
 // (with PHAT after bringing the bin to unit magnitude).
 //
 // Bindings: 1 PCM in phase rows, 2 taps [phase][tap] in pairs, 3 source and 4 output [channel][n], 5 reference [bin],
-// 6 gains [channel]. Channels are rows, sensor * stride + channel.
+// 6 gains [channel], of all sensors. Channels are rows, sensor * stride + channel.
 // Workgroups: 64 along outputs; 16 butterflies by 8 rows, since a row has few butterflies and lanes along a row read neighbours.
 
 override PHASES: u32 = 8u;
@@ -131,7 +131,7 @@ fn keep_bin(row: u32, q: u32, k: u32) {
         let power = dot(value, value);
         value = select(vec2<f32>(0.0), value / sqrt(power), power > PHAT_POWER_MIN);
     }
-    let gain = gains[row];
+    let gain = gains[params.sensor_first * params.channel_stride + row];
     // A channel left out, or a sensor that did not deliver, gives zeros whatever the transform holds.
     output[row * params.bin_count + bin] = select(multiply(value, reference[bin]) * gain, vec2<f32>(0.0), gain == 0.0);
 }

@@ -1,10 +1,12 @@
-// The uniform block of every stage: sizes, strides and offsets of the plan, and what changes with every ping set.
+// The uniform block of every stage: sizes, strides and offsets of the plan, of a bank (the sensors that are imaged together: all, or
+// one at a time where a buffer would grow too large) and of a tile (the directions whose spectra stand in memory together: all, or
+// a part), and what changes with every ping set. A dispatch is given the block of its bank and tile.
 //
 // Twin: `src/imaging/gpu/params.rs`, field by field (held together by tests/shader_layout.rs). All words are u32 (one f32), so
 // that WGSL, Rust and every backend agree on the layout without padding. Written once at open, the last four words a ping set.
 
 struct Params {
-    // Sensors of the configuration.
+    // Sensors of the bank.
     sensor_count: u32,
     // Rows that every sensor has in per-channel buffers: the most channels of any sensor.
     channel_stride: u32,
@@ -40,7 +42,6 @@ struct Params {
     bin_count: u32,
     // M.
     inverse_len: u32,
-    direction_count: u32,
     range_count: u32,
     // Rows of the mask table.
     row_count: u32,
@@ -48,10 +49,19 @@ struct Params {
     phat: u32,
     // Taps of the smoothing filter; 0 without.
     smoothing_count: u32,
-    // First word of the sums in the result.
-    sums_offset: u32,
-    // First word of the nonce in the result.
-    nonce_offset: u32,
+    // Cells from one sensor's energyscape to the next.
+    cell_stride: u32,
+    // First sensor of the bank.
+    sensor_first: u32,
+    // Rows of the tile, one a direction of one sensor, and the first of them in the table of targets.
+    tile_row_count: u32,
+    tile_target_first: u32,
+    // What delay-and-sum does for the tile: first quad of beams, first slot of these, the row of that slot for the first of the
+    // sensors that share the steering, and rows from one of these sensors to the next.
+    quad_first: u32,
+    slot_first: u32,
+    row_base: u32,
+    row_step: u32,
     // Bit s is set where sensor s delivered.
     present: u32,
     // Sequence of the ping set, low and high word, and the epoch of this device.
@@ -62,6 +72,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 
+// Whether a sensor of the bank delivered.
 fn is_present(sensor: u32) -> bool {
-    return ((params.present >> sensor) & 1u) == 1u;
+    return ((params.present >> (params.sensor_first + sensor)) & 1u) == 1u;
 }

@@ -237,6 +237,18 @@ pub struct BenchArguments {
     /// Print one JSON object instead of the table.
     #[arg(long)]
     pub json: bool,
+    /// Predict the GPU's times for this card, beside what was measured; --backend gpu alone predicts for both.
+    #[cfg(feature = "gpu")]
+    #[arg(long, value_enum, value_name = "CARD", conflicts_with = "peak_gflops")]
+    pub card: Option<super::bench::CardName>,
+    /// Predict for a card of this peak of single-precision arithmetic, a multiply-add being two operations.
+    #[cfg(feature = "gpu")]
+    #[arg(long, value_name = "GFLOP/s", requires = "peak_gb_s", value_parser = positive)]
+    pub peak_gflops: Option<f64>,
+    /// Its peak of memory traffic.
+    #[cfg(feature = "gpu")]
+    #[arg(long, value_name = "GB/s", requires = "peak_gflops", value_parser = positive)]
+    pub peak_gb_s: Option<f64>,
     /// Measure time and memory against microphones, directions, sensors and samples instead; CPU unless told otherwise.
     #[arg(long, conflicts_with_all = ["latency", "config"])]
     pub scaling: bool,
@@ -312,6 +324,13 @@ pub struct ConfigArguments {
     /// Print the built-in defaults.
     #[arg(long, conflicts_with = "config")]
     pub default: bool,
+}
+
+/// Accepts a positive, finite number.
+#[cfg(feature = "gpu")]
+fn positive(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("found {text}, allowed: a number"))?;
+    if value > 0.0 && value.is_finite() { Ok(value) } else { Err(format!("found {text}, allowed: a number above 0")) }
 }
 
 /// Accepts a positive, finite number of seconds up to a year.

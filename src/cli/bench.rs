@@ -5,11 +5,15 @@ mod hop;
 mod latency;
 mod machine;
 mod place;
+#[cfg(feature = "gpu")]
+mod predict;
 mod quantiles;
 mod scaling;
 mod stages;
 mod table;
 
+#[cfg(feature = "gpu")]
+pub use predict::CardName;
 pub use scaling::Case;
 
 use super::args::{BackendArgument, BenchArguments};
@@ -63,10 +67,16 @@ pub fn bench(arguments: &BenchArguments) -> Result<(), Failure> {
             value["floor_ms"] = json!(rates.floor_ms(row.floor_operations, row.floor_bytes));
             value
         };
-        let results: Vec<Value> = rows.iter().map(result).collect();
+        #[allow(unused_mut, reason = "the GPU is a feature")]
+        let mut results: Vec<Value> = rows.iter().map(result).collect();
+        #[cfg(feature = "gpu")]
+        predict::extend(&config, arguments, &rows, &mut results)?;
         return print_line(&json!({"machine": machine, "results": results}).to_string());
     }
-    table::print(config.recording.format.as_str(), &rows, &rates)
+    table::print(config.recording.format.as_str(), &rows, &rates)?;
+    #[cfg(feature = "gpu")]
+    predict::print(&config, arguments, &rows)?;
+    Ok(())
 }
 
 fn measure_all(config: &Config, arguments: &BenchArguments) -> Result<Vec<stages::Row>, Failure> {

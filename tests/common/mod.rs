@@ -5,6 +5,8 @@
 pub mod gpu;
 pub mod oracle;
 pub mod scenes;
+#[cfg(feature = "gpu")]
+pub mod validation;
 
 /// Relative L2 distance of `found` from `truth`; infinite when a value is not finite, when the lengths differ, or when there is no truth to
 /// compare with.

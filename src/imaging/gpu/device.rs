@@ -128,8 +128,9 @@ fn missing(limits: &wgpu::Limits) -> Option<String> {
 /// The largest of what a plan needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Needs {
-    /// Bytes of the largest buffer.
+    /// Bytes of the largest buffer, and of the largest binding.
     pub buffer_bytes: u64,
+    pub binding_bytes: u64,
     /// Most workgroups in one dimension of a dispatch.
     pub workgroups: u32,
 }
@@ -208,13 +209,16 @@ pub(super) fn open(allow_software: bool, needs: Needs) -> Result<Gpu, BackendErr
 fn open_adapter(adapter: &wgpu::Adapter, description: AdapterDescription, needs: Needs) -> Result<Gpu, String> {
     let has = adapter.limits();
     let mut limits = wgpu::Limits::defaults().or_worse_values_from(&has);
-    limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.max(needs.buffer_bytes);
     limits.max_buffer_size = limits.max_buffer_size.max(needs.buffer_bytes);
-    if needs.buffer_bytes > has.max_storage_buffer_binding_size.min(has.max_buffer_size) {
-        return Err(format!(
-            "a buffer of {} bytes is needed, it allows {}; fewer directions or ranges would do",
-            needs.buffer_bytes, has.max_storage_buffer_binding_size
-        ));
+    for (what, needed, allowed) in [
+        ("buffer", needs.buffer_bytes, has.max_buffer_size),
+        ("binding", needs.binding_bytes, limits.max_storage_buffer_binding_size),
+    ] {
+        if needed > allowed {
+            return Err(format!(
+                "a {what} of {needed} bytes is needed, it allows {allowed}; fewer directions or ranges would do"
+            ));
+        }
     }
     if needs.workgroups > limits.max_compute_workgroups_per_dimension {
         return Err(format!(

@@ -1,47 +1,46 @@
 //! GPU twin: the five stages as WGSL kernels through wgpu, one submission a ping set.
 //!
-//! In: raw pings and the channels' gains. Out: energyscapes and masked sums. `program.rs` makes every buffer and pipeline at open;
-//! here is the order of a ping set: upload, poison, dispatch, read back, check. Every wait ends, every error comes back as a
-//! [`BackendError`], nothing panics. Never judges channels and never chooses between backends.
+//! In: raw pings and the channels' gains. Out: energyscapes and masked sums. `schedule.rs` lists the dispatches and cuts them so that no
+//! binding grows too large, `program.rs` makes every buffer and pipeline at open; here is the order of a ping set: upload, poison,
+//! dispatch, read back, check. Every wait ends, every error comes back as a [`BackendError`], nothing panics. Never judges channels
+//! and never chooses between backends.
 //!
-//! Counted for the default plan, three sensors of 32 channels, PDM, 180 directions, 941 ranges: 11 dispatches, 2.0 MB up,
-//! 2.0 MB down. Through the device's memory, caches left aside:
+//! Counted for the default plan, three sensors of 32 channels, PDM, 180 directions, 941 ranges: 11 dispatches, 2.0 MB up, 2.0 MB down,
+//! 27 MB of buffers. `noctule bench --backend gpu` prints the count of every stage (`work.rs`), what cards of known peaks should
+//! make of it, and what this one does.
 //!
-//! | stage | dispatches | MB | why |
-//! |---|---|---|---|
-//! | demodulate | 2 | 12 | words, bit streams there and back, PCM |
-//! | matched_filter | 4 | 16 | PCM once, N1 = 2048 complex values a channel there and back three times |
-//! | delay_and_sum | 1 | 6 | 0.8 of spectra (again from the cache for every four beams), spectra of 540 directions |
-//! | envelope | 3 | 28 | M = 1250 complex values a direction there and back twice, energyscapes |
-//! | masked_energy | 1 | 2 + 32 bytes an entry | energyscapes, the table twice |
-//!
-//! Poisoning moves 4 MB more. Arithmetic: 0.1 G additions of table values, 0.05 G multiply-adds of the band filter, 0.1 G of
-//! delay-and-sum with its sines, 0.1 G of the transforms.
+//! Nothing here overlaps one ping set with the next: the path to a command waits for each result at once, so that a second set in
+//! flight could only make it later. Who has recordings to get through opens two backends, one on each of two threads: one is
+//! computed while the other is uploaded and read back.
 
 mod device;
 mod params;
 mod program;
 mod readback;
+mod schedule;
 pub mod stage;
 mod tables;
 mod timing;
 mod transform;
+mod work;
 
 pub use device::{AdapterDescription, AdapterKind, adapters};
 pub use params::{PARAMS_LAYOUT, Params};
 pub use readback::panic_is_a_lost_device;
+pub use work::{DispatchWork, Memory, PipelineUse, memory, pipelines, transfer_bytes, workload};
 
 use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput};
 use super::plan::ImagingPlan;
 use crate::signal::{MaskTable, PingSet, RowSums, SENSORS_MAX, Samples};
 use device::Gpu;
 use params::{NONCE_WORDS, ResultLayout, channel_stride};
-use program::{Blueprint, Program, Resource};
-use readback::{POISON, Staging, check_cells, check_nonce, checked_sums};
+use program::{Program, Step};
+use readback::{Staging, check_cells, check_nonce, checked_sums, poison_buffer};
+use schedule::{BINDING_BYTES_MAX, Blueprint, Resource};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
-use timing::{TIMESTAMP_BYTES, Timing};
+use timing::Timing;
 
 /// Limit of the first ping set, at open, in which drivers compile, and of reading a stage's output back.
 const SLOW_LIMIT: Duration = Duration::from_secs(8);
@@ -55,7 +54,8 @@ pub struct GpuBackend {
     plan: Arc<ImagingPlan>,
     masks: Arc<MaskTable>,
     layout: ResultLayout,
-    params: Params,
+    /// Sequence of the ping set (low, high), epoch of the device, sensors present.
+    nonce: [u32; NONCE_WORDS],
     gpu: Gpu,
     program: Program,
     poison: wgpu::Buffer,
@@ -69,6 +69,8 @@ pub struct GpuBackend {
     packed: Vec<u32>,
     /// One channel of nothing.
     silence: Vec<f32>,
+    /// The uniform blocks as bytes.
+    blocks: Vec<u8>,
 }
 
 impl GpuBackend {
@@ -83,16 +85,30 @@ impl GpuBackend {
         allow_software: bool,
         deadline_ms: u64,
     ) -> Result<GpuBackend, BackendError> {
-        let blueprint = Blueprint::new(&plan, &masks)?;
+        Self::open_within(plan, masks, allow_software, deadline_ms, BINDING_BYTES_MAX)
+    }
+
+    /// As [`GpuBackend::open`], with no binding larger than `binding_bytes`: tests cut small work as large work is cut.
+    ///
+    /// # Errors
+    /// As [`GpuBackend::open`].
+    pub fn open_within(
+        plan: Arc<ImagingPlan>,
+        masks: Arc<MaskTable>,
+        allow_software: bool,
+        deadline_ms: u64,
+        binding_bytes: u64,
+    ) -> Result<GpuBackend, BackendError> {
+        let blueprint = Blueprint::new(&plan, &masks, binding_bytes.min(BINDING_BYTES_MAX))?;
         let gpu = device::open(allow_software, blueprint.needs())?;
-        let mut params = blueprint.params;
-        params.nonce_epoch = EPOCH.fetch_add(1, Ordering::Relaxed);
+        let layout = blueprint.layout;
         let program = Program::new(&gpu, blueprint)?;
-        let layout = ResultLayout::new(&plan, &masks);
+        let timing = Timing::new(&gpu, program.passes());
+        let staging_bytes = layout.bytes() + timing.as_ref().map_or(0, Timing::bytes);
         let mut backend = Self {
-            poison: poison_buffer(&gpu, layout.total),
-            staging: Staging::new(&gpu, (4 * layout.total as u64).next_multiple_of(8) + TIMESTAMP_BYTES),
-            timing: Timing::new(&gpu),
+            poison: poison_buffer(&gpu, layout.bytes()),
+            staging: Staging::new(&gpu, staging_bytes),
+            timing,
             limit: Duration::from_millis(deadline_ms),
             report: BackendReport {
                 kind: BackendKind::Gpu,
@@ -104,10 +120,11 @@ impl GpuBackend {
             gains: vec![0.0; plan.sensors.len() * channel_stride(&plan)],
             packed: Vec::new(),
             silence: vec![0.0; plan.raw_count],
+            blocks: Vec::new(),
+            nonce: [0, 0, EPOCH.fetch_add(1, Ordering::Relaxed), 0],
             plan,
             masks,
             layout,
-            params,
             gpu,
             program,
         };
@@ -131,6 +148,24 @@ impl GpuBackend {
     #[must_use]
     pub fn dispatch_count(&self) -> usize {
         self.program.steps.len()
+    }
+
+    /// Bytes of all buffers on the device and of those that the processor reads, as asked for at open: none is made later.
+    #[must_use]
+    pub fn buffer_bytes(&self) -> u64 {
+        self.program.bytes() + self.poison.size() + self.staging.buffer.size()
+    }
+
+    /// Into how many parts the directions were cut, so that each part's spectra fit their buffers.
+    #[must_use]
+    pub fn tile_count(&self) -> usize {
+        self.program.tiles.len()
+    }
+
+    /// Into how many parts the sensors were cut: 1, or as many as there are.
+    #[must_use]
+    pub fn bank_count(&self) -> usize {
+        self.program.banks.len()
     }
 
     /// Destroys the device, as a driver that fails would: every later call returns [`BackendError::Lost`]. For tests and drills.
@@ -158,12 +193,13 @@ impl GpuBackend {
         let start = Instant::now();
         self.drain(start, limit)?;
         self.upload(pings, active, image);
-        let mut encoder = self.encode(Stage::MaskedEnergy);
-        let bytes = 4 * self.layout.total as u64;
-        let result = self.program.buffer(Resource::Result);
-        encoder.copy_buffer_to_buffer(result, 0, &self.staging.buffer, 0, bytes);
+        let mut encoder = self.encode(self.timing.as_ref(), |_| true);
+        let (image, sums) = (4 * self.layout.image as u64, 4 * self.layout.sums as u64);
+        let staging = &self.staging.buffer;
+        encoder.copy_buffer_to_buffer(self.program.buffer(Resource::Image), 0, staging, 0, image);
+        encoder.copy_buffer_to_buffer(self.program.buffer(Resource::Sums), 0, staging, image, sums);
         if let Some(timing) = &self.timing {
-            timing.resolve(&mut encoder, &self.staging.buffer, bytes.next_multiple_of(8));
+            timing.resolve(&mut encoder, staging, self.layout.bytes());
         }
         self.gpu.queue.submit([encoder.finish()]);
         self.gpu.faults.check()?;
@@ -185,10 +221,10 @@ impl GpuBackend {
     fn upload(&mut self, pings: &PingSet, active: [bool; SENSORS_MAX], image: &Image) {
         let stride = channel_stride(&self.plan);
         self.gains.fill(0.0);
-        self.params.present = 0;
+        let mut present = 0;
         let queue = &self.gpu.queue;
         for (sensor, ping) in pings.pings.iter().enumerate().filter(|(sensor, _)| active[*sensor]) {
-            self.params.present |= 1 << sensor;
+            present |= 1 << sensor;
             let gains = &image.channels[sensor].gains;
             self.gains[sensor * stride..][..gains.len()].copy_from_slice(gains);
             let offset = 4 * (sensor * self.program.raw_stride) as u64;
@@ -217,24 +253,31 @@ impl GpuBackend {
                 }
             }
         }
-        self.params.nonce_low = pings.sequence as u32;
-        self.params.nonce_high = (pings.sequence >> 32) as u32;
         queue.write_buffer(self.program.buffer(Resource::Gains), 0, bytemuck::cast_slice(&self.gains));
-        queue.write_buffer(&self.program.params, 0, bytemuck::bytes_of(&self.params));
+        self.nonce = [pings.sequence as u32, (pings.sequence >> 32) as u32, self.nonce[2], present];
+        self.program.write_blocks(queue, self.nonce, &mut self.blocks);
     }
 
-    /// Poisons the result and records every dispatch up to a stage, a compute pass a stage.
-    fn encode(&self, last: Stage) -> wgpu::CommandEncoder {
+    /// Poisons the result and records the dispatches that are wanted, those of a stage, bank and tile in one compute pass.
+    fn encode(&self, timing: Option<&Timing>, wanted: impl Fn(&Step) -> bool) -> wgpu::CommandEncoder {
         let mut encoder =
             self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("ping set") });
-        let result = self.program.buffer(Resource::Result);
-        encoder.copy_buffer_to_buffer(&self.poison, 0, result, 0, 4 * self.layout.total as u64);
-        for stage in Stage::ALL.into_iter().filter(|stage| *stage <= last) {
+        for resource in [Resource::Image, Resource::Sums] {
+            let target = self.program.buffer(resource);
+            let mut at = 0;
+            while at < target.size() {
+                let bytes = self.poison.size().min(target.size() - at);
+                encoder.copy_buffer_to_buffer(&self.poison, 0, target, at, bytes);
+                at += bytes;
+            }
+        }
+        let steps: Vec<&Step> = self.program.steps.iter().filter(|step| wanted(step)).collect();
+        for (index, steps) in steps.chunk_by(|a, b| a.goes_with(b)).enumerate() {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some(stage.stem()),
-                timestamp_writes: self.timing.as_ref().map(|timing| timing.writes(stage)),
+                label: Some(steps[0].stage.stem()),
+                timestamp_writes: timing.map(|timing| timing.writes(index)),
             });
-            for step in self.program.steps.iter().filter(|step| step.stage == stage) {
+            for step in steps {
                 pass.set_pipeline(&step.pipeline);
                 pass.set_bind_group(0, &step.bind_group, &[]);
                 pass.dispatch_workgroups(step.groups[0], step.groups[1], step.groups[2]);
@@ -250,23 +293,24 @@ impl GpuBackend {
         active: [bool; SENSORS_MAX],
         image: &mut Image,
     ) -> Result<(), BackendError> {
-        let (layout, nonce, masks) = (self.layout, self.params.nonce(), Arc::clone(&self.masks));
+        let (layout, nonce, masks) = (self.layout, self.nonce, Arc::clone(&self.masks));
         let timing = self.timing.as_ref();
         self.stage_times_ns = self.staging.read(|bytes| {
-            let (result, times) = bytes.split_at((4 * layout.total).next_multiple_of(8));
-            let words: &[u32] = bytemuck::try_cast_slice(&result[..4 * layout.total])
-                .map_err(|error| BackendError::Invalid(error.to_string()))?;
-            check_nonce(&words[layout.nonce..][..NONCE_WORDS], nonce)?;
+            let (result, times) = bytes.split_at(layout.bytes() as usize);
+            let words: &[u32] =
+                bytemuck::try_cast_slice(result).map_err(|error| BackendError::Invalid(error.to_string()))?;
+            let (words, sums) = words.split_at(layout.image);
+            check_nonce(&sums[layout.nonce..][..NONCE_WORDS], nonce)?;
             for (sensor, energyscape) in image.energyscapes.iter_mut().enumerate() {
                 if active[sensor] {
-                    let cells = &words[sensor * layout.cells..][..layout.cells];
+                    let cells = &words[sensor * layout.stride..][..layout.cells];
                     check_cells(sensor, cells)?;
                     energyscape.values.copy_from_slice(bytemuck::cast_slice(cells));
                 } else {
                     energyscape.values.fill(0.0);
                 }
             }
-            let sums = words[layout.sums..layout.nonce].chunks_exact(8);
+            let sums = sums[..layout.nonce].chunks_exact(8);
             for ((sums, row), words) in image.sums.iter_mut().zip(&masks.rows).zip(sums) {
                 *sums = if active[row.sensor_index] { checked_sums(words)? } else { RowSums::SILENT };
             }
@@ -293,10 +337,10 @@ impl GpuBackend {
         if fits { Ok(()) } else { Err(BackendError::Invalid("the image was made for another plan".to_owned())) }
     }
 
-    /// Bytes of a buffer after the stages up to `last`, as words.
+    /// A part of a buffer after the dispatches that are wanted, as words.
     fn words_after(
         &mut self,
-        last: Stage,
+        wanted: impl Fn(&Step) -> bool,
         resource: Resource,
         first: usize,
         count: usize,
@@ -304,7 +348,7 @@ impl GpuBackend {
         let start = Instant::now();
         let bytes = 4 * count.max(1) as u64;
         let mut staging = Staging::new(&self.gpu, bytes);
-        let mut encoder = self.encode(last);
+        let mut encoder = self.encode(None, wanted);
         encoder.copy_buffer_to_buffer(self.program.buffer(resource), 4 * first as u64, &staging.buffer, 0, bytes);
         self.gpu.queue.submit([encoder.finish()]);
         self.gpu.faults.check()?;
@@ -313,25 +357,14 @@ impl GpuBackend {
         staging.read(|bytes| Ok(bytemuck::pod_collect_to_vec(bytes)))
     }
 
-    /// Rows of bins after a stage.
-    fn bins_after(
-        &mut self,
-        stage: Stage,
-        resource: Resource,
-        row: usize,
-        rows: usize,
-    ) -> Result<StageOutput, BackendError> {
-        let bins = self.plan.bin_count;
-        let words = self.words_after(stage, resource, 2 * bins * row, 2 * bins * rows)?;
-        let pair = |pair: &[u32]| [f32::from_bits(pair[0]), f32::from_bits(pair[1])];
-        Ok(StageOutput::Complex(words.chunks_exact(2).map(pair).collect()))
-    }
-
     /// PCM of a sensor, put back from phase rows into `[channel][sample]`.
     fn demodulated(&mut self, sensor: usize) -> Result<Vec<f32>, BackendError> {
         let (phases, row_len, lead) = (self.plan.band_decimation, self.program.rows.stride, self.program.rows.lead);
         let rows = channel_stride(&self.plan) * phases;
-        let words = self.words_after(Stage::Demodulate, Resource::Pcm, sensor * rows * row_len, rows * row_len)?;
+        let bank = self.program.bank_of(sensor);
+        let first = (sensor - self.program.banks[bank].sensors.start) * rows * row_len;
+        let wanted = |step: &Step| step.bank == bank && step.stage == Stage::Demodulate;
+        let words = self.words_after(wanted, Resource::Pcm, first, rows * row_len)?;
         let channels = self.plan.sensors[sensor].channel_count;
         let value = |channel: usize, n: usize| words[(channel * phases + n % phases) * row_len + lead + n / phases];
         let samples = self.plan.sample_count;
@@ -339,6 +372,41 @@ impl GpuBackend {
             .flat_map(|channel| (0..samples).map(move |n| (channel, n)))
             .map(|(channel, n)| f32::from_bits(value(channel, n)))
             .collect())
+    }
+
+    /// Spectra of a sensor's channels.
+    fn matched(&mut self, sensor: usize) -> Result<Vec<[f32; 2]>, BackendError> {
+        let bins = self.plan.bin_count;
+        let bank = self.program.bank_of(sensor);
+        let row = (sensor - self.program.banks[bank].sensors.start) * channel_stride(&self.plan);
+        let rows = self.plan.sensors[sensor].channel_count;
+        let wanted = |step: &Step| step.bank == bank && step.stage <= Stage::MatchedFilter;
+        Ok(complex(&self.words_after(wanted, Resource::Spectra, 2 * bins * row, 2 * bins * rows)?))
+    }
+
+    /// Spectra of a sensor's directions, put back from the rows of the tiles.
+    fn summed(&mut self, sensor: usize) -> Result<Vec<[f32; 2]>, BackendError> {
+        let (bins, ranges) = (self.plan.bin_count, self.plan.grid.range_count());
+        let bank = self.program.bank_of(sensor);
+        let local = sensor - self.program.banks[bank].sensors.start;
+        let mut spectra = vec![[0.0; 2]; self.plan.grid.direction_count() * bins];
+        for index in 0..self.program.tiles.len() {
+            let tile = self.program.tiles[index].clone();
+            if tile.bank != bank {
+                continue;
+            }
+            let before = |step: &Step| step.bank == bank && step.stage <= Stage::MatchedFilter;
+            let wanted = |step: &Step| before(step) || (step.stage == Stage::DelayAndSum && step.tile == Some(index));
+            let rows = complex(&self.words_after(wanted, Resource::WorkA, 0, 2 * bins * tile.row_count)?);
+            let targets = &self.program.targets[tile.target_first..][..tile.row_count];
+            for (row, [cell, flags]) in rows.chunks_exact(bins).zip(targets) {
+                if *flags as usize & (SENSORS_MAX.next_power_of_two() - 1) == local {
+                    let direction = (*cell as usize - local * self.layout.stride) / ranges;
+                    spectra[direction * bins..][..bins].copy_from_slice(row);
+                }
+            }
+        }
+        Ok(spectra)
     }
 }
 
@@ -380,14 +448,8 @@ impl Backend for GpuBackend {
         self.upload(pings, active, image);
         match stage {
             Stage::Demodulate => Ok(StageOutput::Real(self.demodulated(sensor_index)?)),
-            Stage::MatchedFilter => {
-                let row = sensor_index * channel_stride(&self.plan);
-                self.bins_after(stage, Resource::Spectra, row, self.plan.sensors[sensor_index].channel_count)
-            }
-            _ => {
-                let rows = self.plan.grid.direction_count();
-                self.bins_after(stage, Resource::WorkA, sensor_index * rows, rows)
-            }
+            Stage::MatchedFilter => Ok(StageOutput::Complex(self.matched(sensor_index)?)),
+            _ => Ok(StageOutput::Complex(self.summed(sensor_index)?)),
         }
     }
 
@@ -409,15 +471,8 @@ impl Drop for GpuBackend {
     }
 }
 
-fn poison_buffer(gpu: &Gpu, words: usize) -> wgpu::Buffer {
-    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("poison"),
-        size: 4 * words as u64,
-        usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
-    gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(&vec![POISON; words]));
-    buffer
+fn complex(words: &[u32]) -> Vec<[f32; 2]> {
+    words.chunks_exact(2).map(|pair| [f32::from_bits(pair[0]), f32::from_bits(pair[1])]).collect()
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The uniform block of every stage: `#[repr(C)]` twin of `shaders/common/params.wgsl`.
 //!
-//! In: plan and table sizes. Out: the words that the shaders read. All are 32 bits wide, so that both layouts agree without
+//! In: plan and table sizes. Out: the words that the shaders read; `schedule.rs` adds those of banks and tiles. All are 32 bits wide, so that both layouts agree without
 //! padding; tests/shader_layout.rs holds every offset to what naga finds in the shader. Never computes a table.
 
 use super::tables::{BitWindow, PhaseRows};
@@ -30,13 +30,18 @@ pub struct Params {
     pub first_bin: u32,
     pub bin_count: u32,
     pub inverse_len: u32,
-    pub direction_count: u32,
     pub range_count: u32,
     pub row_count: u32,
     pub phat: u32,
     pub smoothing_count: u32,
-    pub sums_offset: u32,
-    pub nonce_offset: u32,
+    pub cell_stride: u32,
+    pub sensor_first: u32,
+    pub tile_row_count: u32,
+    pub tile_target_first: u32,
+    pub quad_first: u32,
+    pub slot_first: u32,
+    pub row_base: u32,
+    pub row_step: u32,
     pub present: u32,
     pub nonce_low: u32,
     pub nonce_high: u32,
@@ -65,13 +70,18 @@ pub const PARAMS_LAYOUT: &[(&str, usize)] = &{
         ("first_bin", offset_of!(Params, first_bin)),
         ("bin_count", offset_of!(Params, bin_count)),
         ("inverse_len", offset_of!(Params, inverse_len)),
-        ("direction_count", offset_of!(Params, direction_count)),
         ("range_count", offset_of!(Params, range_count)),
         ("row_count", offset_of!(Params, row_count)),
         ("phat", offset_of!(Params, phat)),
         ("smoothing_count", offset_of!(Params, smoothing_count)),
-        ("sums_offset", offset_of!(Params, sums_offset)),
-        ("nonce_offset", offset_of!(Params, nonce_offset)),
+        ("cell_stride", offset_of!(Params, cell_stride)),
+        ("sensor_first", offset_of!(Params, sensor_first)),
+        ("tile_row_count", offset_of!(Params, tile_row_count)),
+        ("tile_target_first", offset_of!(Params, tile_target_first)),
+        ("quad_first", offset_of!(Params, quad_first)),
+        ("slot_first", offset_of!(Params, slot_first)),
+        ("row_base", offset_of!(Params, row_base)),
+        ("row_step", offset_of!(Params, row_step)),
         ("present", offset_of!(Params, present)),
         ("nonce_low", offset_of!(Params, nonce_low)),
         ("nonce_high", offset_of!(Params, nonce_high)),
@@ -82,27 +92,37 @@ pub const PARAMS_LAYOUT: &[(&str, usize)] = &{
 /// Words of the nonce at the end of the result: sequence (low, high), epoch, sensors present.
 pub(super) const NONCE_WORDS: usize = 4;
 
-/// Where the parts of the result stand, in 32-bit words.
+/// Where the parts of the result stand, in 32-bit words: energyscapes in one buffer, sums and nonce in another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ResultLayout {
-    /// Cells of one energyscape; sensor s begins at `s * cells`.
+    /// Cells of one energyscape.
     pub cells: usize,
-    /// First word of the sums.
-    pub sums: usize,
-    /// First word of the nonce.
+    /// Sensor s begins at `s * stride`, where a binding may begin.
+    pub stride: usize,
+    /// All words of the energyscapes.
+    pub image: usize,
+    /// First word of the nonce, behind the sums.
     pub nonce: usize,
-    /// All words.
-    pub total: usize,
+    /// All words of sums and nonce.
+    pub sums: usize,
 }
 
 impl ResultLayout {
     pub(super) fn new(plan: &ImagingPlan, masks: &MaskTable) -> Self {
         let cells = plan.grid.cell_count();
-        let sums = cells * plan.sensors.len();
-        let nonce = sums + 8 * masks.rows.len();
-        Self { cells, sums, nonce, total: nonce + NONCE_WORDS }
+        let stride = cells.next_multiple_of(BINDING_WORDS);
+        let nonce = 8 * masks.rows.len();
+        Self { cells, stride, image: stride * plan.sensors.len(), nonce, sums: nonce + NONCE_WORDS }
+    }
+
+    /// Bytes of both, one behind the other.
+    pub(super) fn bytes(&self) -> u64 {
+        4 * (self.image + self.sums) as u64
     }
 }
+
+/// A binding begins at a multiple of this many words (256 bytes) on every device.
+pub(super) const BINDING_WORDS: usize = 64;
 
 impl Params {
     /// The words of `plan` and `masks`; nothing is present yet. Sizes above `u32` cannot occur: the plan limits them.
@@ -133,20 +153,18 @@ impl Params {
             first_bin: plan.first_bin as u32,
             bin_count: plan.bin_count as u32,
             inverse_len: plan.inverse_len as u32,
-            direction_count: plan.grid.direction_count() as u32,
             range_count: plan.grid.range_count() as u32,
             row_count: masks.rows.len() as u32,
             phat: u32::from(plan.phat),
             smoothing_count: plan.smoothing_taps.len() as u32,
-            sums_offset: layout.sums as u32,
-            nonce_offset: layout.nonce as u32,
+            cell_stride: layout.stride as u32,
             ..Self::default()
         }
     }
 
-    /// The nonce that the last kernel copies behind the result.
-    pub(super) fn nonce(&self) -> [u32; NONCE_WORDS] {
-        [self.nonce_low, self.nonce_high, self.nonce_epoch, self.present]
+    /// The nonce that the last kernel copies behind the sums.
+    pub(super) fn set_nonce(&mut self, [low, high, epoch, present]: [u32; NONCE_WORDS]) {
+        (self.nonce_low, self.nonce_high, self.nonce_epoch, self.present) = (low, high, epoch, present);
     }
 }
 

@@ -19,6 +19,9 @@ use std::time::{Duration, Instant};
 /// A NaN that no computation makes: stands in every word of the result before a submission.
 pub(super) const POISON: u32 = 0x7fc0_dead;
 
+/// Most bytes of the buffer that the result is poisoned from, piece by piece.
+const POISON_BYTES_MAX: u64 = 1 << 20;
+
 /// Longest wait without a look at faults and limit.
 const SLICE: Duration = Duration::from_millis(10);
 
@@ -118,6 +121,19 @@ impl Staging {
         self.buffer.unmap();
         self.state.store(IDLE, Ordering::Release);
     }
+}
+
+/// A buffer of nothing but poison, for a result of so many bytes.
+pub(super) fn poison_buffer(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
+    let bytes = bytes.min(POISON_BYTES_MAX);
+    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("poison"),
+        size: bytes,
+        usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(&vec![POISON; bytes as usize / 4]));
+    buffer
 }
 
 /// Runs a call into wgpu that may panic; the panic's message is the error.

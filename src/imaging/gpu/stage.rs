@@ -60,12 +60,12 @@ pub const KERNELS: &[Kernel] = {
         kernel(MatchedFilter, "forward_pass", BUTTERFLIES, &[(3, Read), (4, Write)]),
         kernel(MatchedFilter, "forward_last", BUTTERFLIES, &[(3, Read), (4, Write), (5, Read), (6, Read)]),
         kernel(DelayAndSum, "delay_and_sum", ALONG, &[(1, Read), (2, Read), (3, Read), (4, Write)]),
-        kernel(Envelope, "inverse_first", BUTTERFLIES, &[(1, Read), (2, Write)]),
-        kernel(Envelope, "inverse_pass", BUTTERFLIES, &[(1, Read), (2, Write)]),
+        kernel(Envelope, "inverse_first", BUTTERFLIES, &[(1, Read), (2, Write), (3, Read)]),
+        kernel(Envelope, "inverse_pass", BUTTERFLIES, &[(1, Read), (2, Write), (3, Read)]),
         kernel(Envelope, "inverse_last", BUTTERFLIES, &[(1, Read), (3, Read), (4, Write)]),
-        kernel(Envelope, "inverse_last_whole", BUTTERFLIES, &[(1, Read), (5, Write)]),
+        kernel(Envelope, "inverse_last_whole", BUTTERFLIES, &[(1, Read), (3, Read), (5, Write)]),
         kernel(Envelope, "smooth_rows", ALONG, &[(3, Read), (4, Write), (5, Write), (6, Read)]),
-        kernel(MaskedEnergy, "masked_energy", [128, 1, 1], &[(1, Write), (2, Read), (3, Read), (4, Read)]),
+        kernel(MaskedEnergy, "masked_energy", [128, 1, 1], &[(1, Read), (2, Read), (3, Read), (4, Read), (5, Write)]),
     ]
 };
 

@@ -116,7 +116,7 @@ impl PhaseRows {
 }
 
 /// A beam without a mirror image, or none at all.
-const NO_DIRECTION: u32 = u32::MAX;
+const NO_SLOT: u32 = u32::MAX;
 
 /// Sensors that share their steering.
 #[derive(Debug, Clone, PartialEq)]
@@ -128,6 +128,10 @@ pub(super) struct SteeringGroup {
     /// First quad of beams, and how many.
     pub quad_first: usize,
     pub quad_count: usize,
+    /// Direction of every slot: mirror images stand side by side, in the order of the beams.
+    pub directions: Vec<u32>,
+    /// Slots before each quad, and at the end all of them.
+    pub slots_before: Vec<usize>,
 }
 
 /// All beams of all groups.
@@ -136,7 +140,7 @@ pub(super) struct Steering {
     pub groups: Vec<SteeringGroup>,
     /// `[quad][channel]`: turns a bin for four beams.
     pub turns: Vec<[f32; 4]>,
-    /// `[beam]`: a direction and its mirror image.
+    /// `[beam]`: slots of a direction and of its mirror image, counted from the group's first.
     pub beams: Vec<[u32; 2]>,
 }
 
@@ -148,19 +152,38 @@ impl Steering {
             let quad_first = steering.beams.len() / 4;
             let channels = sensor.channel_count;
             let row = |direction: u32| &sensor.delays_s[direction as usize * channels..][..channels];
-            let mut beams = mirror_pairs(plan.grid.direction_count(), row);
-            beams.resize(beams.len().next_multiple_of(4), [NO_DIRECTION; 2]);
-            for quad in beams.chunks_exact(4) {
-                let turn = |beam: [u32; 2], channel: usize| match beam[0] {
-                    NO_DIRECTION => 0.0,
-                    direction => row(direction).get(channel).map_or(0.0, |delay_s| delay_s * plan.bin_step_hz),
+            let pairs = mirror_pairs(plan.grid.direction_count(), row);
+            let (mut directions, mut slots_before) = (Vec::new(), Vec::new());
+            for quad in pairs.chunks(4) {
+                slots_before.push(directions.len());
+                for beam in 0..4 {
+                    let pair = quad.get(beam).copied().unwrap_or([NO_SLOT; 2]);
+                    steering.beams.push(pair.map(|direction| match direction {
+                        NO_SLOT => NO_SLOT,
+                        direction => {
+                            directions.push(direction);
+                            directions.len() as u32 - 1
+                        }
+                    }));
+                }
+                let turn = |beam: usize, channel: usize| {
+                    let delay_s = quad.get(beam).and_then(|pair| row(pair[0]).get(channel));
+                    delay_s.map_or(0.0, |delay_s| delay_s * plan.bin_step_hz) as f32
                 };
-                let vector = |channel| std::array::from_fn(|beam| turn(quad[beam], channel) as f32);
+                let vector = |channel| std::array::from_fn(|beam| turn(beam, channel));
                 steering.turns.extend((0..channel_stride(plan)).map(vector));
             }
-            let quad_count = beams.len() / 4;
-            steering.beams.extend(beams);
-            steering.groups.push(SteeringGroup { sensors, channel_count: channels, quad_first, quad_count });
+            let quad_count = slots_before.len();
+            slots_before.push(directions.len());
+            let channel_count = channels;
+            steering.groups.push(SteeringGroup {
+                sensors,
+                channel_count,
+                quad_first,
+                quad_count,
+                directions,
+                slots_before,
+            });
         }
         steering
     }
@@ -184,8 +207,8 @@ fn mirror_pairs<'a>(direction_count: usize, row: impl Fn(u32) -> &'a [f64]) -> V
             continue;
         }
         let free = |other: &u32| !taken[*other as usize];
-        let mirror = by_delays.get(&key(direction, -1.0)).copied().filter(free).unwrap_or(NO_DIRECTION);
-        if mirror != NO_DIRECTION {
+        let mirror = by_delays.get(&key(direction, -1.0)).copied().filter(free).unwrap_or(NO_SLOT);
+        if mirror != NO_SLOT {
             taken[mirror as usize] = true;
         }
         pairs.push([direction, mirror]);
@@ -193,14 +216,14 @@ fn mirror_pairs<'a>(direction_count: usize, row: impl Fn(u32) -> &'a [f64]) -> V
     pairs
 }
 
-/// Marks an entry right of the robot's x axis, in its range index.
+/// Marks an entry right of the robot's x axis, in its cell; a grid has at most 2^24 of them.
 const RIGHT_BIT: u32 = 1 << 31;
 
 /// The mask table as the shader reads it.
 #[derive(Debug)]
 pub(super) struct MaskEntries {
-    /// Cell, range index with the side in its top bit, bits of the distance, nothing.
-    pub entries: Vec<[u32; 4]>,
+    /// Cell with the side in its top bit, bits of the distance.
+    pub entries: Vec<[u32; 2]>,
     /// Sensor, first entry, count, nothing.
     pub rows: Vec<[u32; 4]>,
     /// `[sensor][range]`: gain, floor, 1 / r^2, sqrt(r).
@@ -213,9 +236,8 @@ impl MaskEntries {
         check_masks(plan, masks)?;
         let grid = &plan.grid;
         let entry = |((cell, side), distance_m): ((&u32, &f32), &f32)| {
-            let range = grid.direction_and_range(*cell as usize).1 as u32;
             // Adding zero makes a negative zero positive: bits compare as distances do.
-            [*cell, range | if *side < 0.0 { RIGHT_BIT } else { 0 }, (distance_m + 0.0).to_bits(), 0]
+            [*cell | if *side < 0.0 { RIGHT_BIT } else { 0 }, (distance_m + 0.0).to_bits()]
         };
         let value = |table: &[Vec<f32>], sensor: usize, range: usize, default: f32| {
             table.get(sensor).and_then(|row| row.get(range)).copied().unwrap_or(default)

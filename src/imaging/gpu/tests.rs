@@ -1,6 +1,9 @@
 //! What only shows from inside: work that the device skipped must not pass for a result.
 //! A missing adapter skips these tests unless `NOCTULE_REQUIRE_GPU=1`.
 
+#[path = "../../../tests/common/validation.rs"]
+mod validation;
+
 use super::*;
 use crate::imaging::params::ImagingParams;
 use crate::sensor::{Emission, MicrophoneArray, Mount, RecordingFormat, SensorSetup};
@@ -47,6 +50,7 @@ fn small() -> (Arc<ImagingPlan>, Arc<MaskTable>) {
 
 /// An open backend with a ping set of noise and an image, or `None` where there is no adapter and none is required.
 fn opened() -> Option<(GpuBackend, PingSet, Image)> {
+    validation::watch();
     if adapters().is_empty() {
         assert!(std::env::var("NOCTULE_REQUIRE_GPU").is_err(), "NOCTULE_REQUIRE_GPU is set, but there is no adapter");
         return None;
@@ -84,12 +88,12 @@ fn an_old_result_does_not_pass_for_a_new_one() {
     backend.image(&pings, &mut image).unwrap();
     // Negative control: the result just made is good under its own nonce, and only under that.
     pings.sequence += 1;
-    backend.params.nonce_low += 1;
+    backend.nonce[0] += 1;
     backend.staging.request();
     backend.staging.wait(&backend.gpu, Instant::now(), SLOW_LIMIT).unwrap();
     let error = backend.take_result(&pings, pings.present, &mut image).unwrap_err();
     assert!(error.to_string().contains("bears the mark"), "{error}");
-    backend.params.nonce_low -= 1;
+    backend.nonce[0] -= 1;
     backend.staging.request();
     backend.staging.wait(&backend.gpu, Instant::now(), SLOW_LIMIT).unwrap();
     backend.take_result(&pings, pings.present, &mut image).unwrap();
@@ -99,7 +103,7 @@ fn an_old_result_does_not_pass_for_a_new_one() {
 fn two_devices_never_share_an_epoch() {
     let Some((first, _, _)) = opened() else { return };
     let Some((second, _, _)) = opened() else { return };
-    assert_ne!(first.params.nonce_epoch, second.params.nonce_epoch);
+    assert_ne!(first.nonce[2], second.nonce[2]);
 }
 
 #[test]
@@ -122,4 +126,40 @@ fn a_ping_set_given_up_is_drained_before_the_next() {
     backend.limit = Duration::from_secs(8);
     backend.image(&pings, &mut image).unwrap();
     assert!(image.sums[0].energy > 0.0);
+}
+
+/// The small plan cut into tiles of one quad of beams; its image equals the uncut one. The faults that a cut can have show.
+#[test]
+fn a_tile_that_is_left_out_or_goes_to_the_wrong_place_is_noticed() {
+    let Some((mut whole, pings, mut truth)) = opened() else { return };
+    whole.image(&pings, &mut truth).unwrap();
+    let (plan, masks) = small();
+    // The samples of both sensors are the largest thing that cannot be cut; one by one they leave room for a few rows.
+    let least = Blueprint::new(&plan, &masks, 1 << 20).map(|blueprint| blueprint.bytes(Resource::Pcm) / 2).unwrap();
+    let mut tiled = GpuBackend::open_within(plan, masks, true, 8000, least).unwrap();
+    assert_eq!(tiled.bank_count(), 2);
+    let mut image = truth.clone();
+    tiled.image(&pings, &mut image).unwrap();
+    assert_eq!(image.energyscapes, truth.energyscapes);
+    assert_eq!(image.sums, truth.sums);
+
+    let last = tiled.program.steps.iter().rposition(|step| step.stage == Stage::Envelope).unwrap();
+    let step = tiled.program.steps.remove(last);
+    let error = tiled.image(&pings, &mut image).unwrap_err();
+    assert!(error.to_string().contains("never written"), "{error}");
+    tiled.program.steps.insert(last, step);
+
+    // The second bank's sums made from the first one's sensor.
+    let bank = tiled.program.steps.iter().rposition(|step| step.stage == Stage::MaskedEnergy).unwrap();
+    let step = tiled.program.steps.remove(bank);
+    assert!(tiled.image(&pings, &mut image).is_err());
+    tiled.program.steps.insert(bank, step);
+
+    // Rows of the last tile turned round: every value is a good one, in a wrong direction.
+    let targets = tiled.program.targets.len();
+    let turned: Vec<[u32; 2]> = tiled.program.targets.iter().rev().copied().collect();
+    assert!(targets == 8 && turned != tiled.program.targets);
+    tiled.gpu.queue.write_buffer(tiled.program.buffer(Resource::Targets), 0, bytemuck::cast_slice(&turned));
+    tiled.image(&pings, &mut image).unwrap();
+    assert_ne!(image.energyscapes, truth.energyscapes);
 }

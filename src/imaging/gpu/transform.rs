@@ -15,6 +15,16 @@ impl Pass {
     pub(super) fn radix(self) -> u32 {
         self.rows * self.columns
     }
+
+    /// Constants of its pipeline in a transform of `len`.
+    pub(super) fn constants(self, len: usize) -> [(&'static str, f64); 4] {
+        [
+            ("RADIX_ROWS", f64::from(self.rows)),
+            ("RADIX_COLUMNS", f64::from(self.columns)),
+            ("LEN", len as f64),
+            ("SPAN", f64::from(self.span)),
+        ]
+    }
 }
 
 /// Radices a thread can hold, with their rows and columns. RADIX_MAX of the shader is the largest.
