@@ -146,7 +146,11 @@ impl Controller {
         let asked_rad_s = wanted.angular_rad_s;
         let wanted = self.detour.guard(&self.progress.pose(), wanted);
         let situation = Situation { cues, wanted, asked_rad_s, approaching, last: self.last, elapsed_s };
-        let (layer, output) = self.ask_layers(&situation);
+        let (layer, mut output) = self.ask_layers(&situation);
+        if layer != LayerName::CollisionAvoidance {
+            let turn_rad_s = &mut output.velocity.angular_rad_s;
+            *turn_rad_s = self.approach.kept_away_rad_s(*turn_rad_s, cues, &self.progress.pose());
+        }
         let avoids = layer == LayerName::CollisionAvoidance && !self.progress.is_stuck();
         self.avoided = avoids.then(|| output.velocity.angular_rad_s.signum());
         let ahead_m_s = self.speed_for_way_m_s(cues.coverage.ahead_m);
