@@ -12,6 +12,7 @@ use super::layer::is_driving;
 use crate::geometry::Pose2;
 use crate::signal::Velocity;
 use nalgebra::Vector2;
+use std::cmp::Ordering;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Places kept at a time.
@@ -123,18 +124,21 @@ impl Detour {
     }
 
     /// The side, +1 left or -1 right, to which a turn on the spot leads out from between the kept places: the nearer way out, one
-    /// against the turn that is asked for counting half as far again, since the robot must come back from there. `None` without
-    /// a place.
+    /// against the turn that is asked for counting half as far again, since the robot must come back from there. `None` where neither
+    /// is nearer.
     pub(super) fn way_out(&self, pose: &Pose2, asked_rad_s: f64) -> Option<f64> {
-        self.is_under_way().then(|| {
-            let cost_rad = |side: f64| {
-                let turn_rad = |step: &u32| f64::from(*step) * WAY_OUT_STEP_RAD;
-                let free = |turned_rad: &f64| self.is_free(pose, side * turned_rad);
-                let found_rad = (0..WAY_OUT_STEPS).map(|step| turn_rad(&step)).find(free).unwrap_or(PI);
-                if side * asked_rad_s < 0.0 { AGAINST_ASKED * found_rad } else { found_rad }
-            };
-            if cost_rad(1.0) <= cost_rad(-1.0) { 1.0 } else { -1.0 }
-        })
+        let cost_rad = |side: f64| {
+            let turn_rad = |step: &u32| f64::from(*step) * WAY_OUT_STEP_RAD;
+            let free = |turned_rad: &f64| self.is_free(pose, side * turned_rad);
+            let found_rad = (0..WAY_OUT_STEPS).map(|step| turn_rad(&step)).find(free).unwrap_or(PI);
+            if side * asked_rad_s < 0.0 { AGAINST_ASKED * found_rad } else { found_rad }
+        };
+        match cost_rad(1.0).total_cmp(&cost_rad(-1.0)) {
+            _ if !self.is_under_way() => None,
+            Ordering::Less => Some(1.0),
+            Ordering::Greater => Some(-1.0),
+            Ordering::Equal => None,
+        }
     }
 
     /// Whether the way straight on passes all kept places after a turn.

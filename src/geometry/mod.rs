@@ -9,11 +9,12 @@ pub mod shape;
 use nalgebra::{Rotation2, Vector2};
 use std::f64::consts::PI;
 
-/// Wraps an angle into (-pi, pi].
+/// Wraps an angle into (-pi, pi]. An angle that lies there is not changed by a bit, and opposite angles stay opposite: mirrored
+/// scenes are to give mirrored commands.
 #[must_use]
 pub fn wrap_angle_rad(angle_rad: f64) -> f64 {
-    let wrapped = angle_rad.rem_euclid(2.0 * PI);
-    if wrapped > PI { wrapped - 2.0 * PI } else { wrapped }
+    let wrapped = angle_rad - 2.0 * PI * (angle_rad / (2.0 * PI)).round();
+    if wrapped <= -PI { PI } else { wrapped }
 }
 
 /// Position and heading of a frame in its parent frame: robot in world, sensor in robot.
@@ -75,6 +76,9 @@ mod tests {
         assert_eq!(wrap_angle_rad(PI), PI);
         assert!((wrap_angle_rad(-PI) - PI).abs() < 1e-15);
         assert!((wrap_angle_rad(2.5 * PI) - 0.5 * PI).abs() < 1e-12);
+        for angle_rad in [0.05, 1.6, 3.1, 4.0, 9.5, 100.0] {
+            assert_eq!(wrap_angle_rad(-angle_rad), -wrap_angle_rad(angle_rad), "to the last bit");
+        }
     }
 
     #[test]
