@@ -85,6 +85,12 @@ fn cases() -> Vec<Case> {
     case.params = range(0.25, 2.9, None);
     cases.push(case);
 
+    let odd_pdm = RecordingFormat { format: SampleFormat::Pdm, sample_rate_hz: 3.6e6, samples: 45_000, decimation: 9 };
+    let array = random_array(5, 0.05, true, 8);
+    let mut case = Case::new("pdm, 3.6 MHz by 9", vec![array], Sweep::new(60e3, 25e3, 400e3), odd_pdm, bearings(7));
+    case.params = range(0.25, 1.6, None);
+    cases.push(case);
+
     let sweep = Sweep::new(40e3, 25e3, 192e3);
     let mut case = Case::new("volume array, 3-D grid", vec![volume.clone()], sweep, pcm(192e3, 6000), grid_3d());
     case.params = range(0.2, 4.0, None);
