@@ -35,8 +35,7 @@ impl Approach {
     /// Takes one ping set; `last` is the velocity commanded since the one before, `decel_m_s2` how fast the robot brakes: a command to
     /// stand is not obeyed at once, and without odometry nothing else tells how far it still rolls.
     pub(super) fn observe(&mut self, cues: &Cues, pose: &Pose2, last: Velocity, decel_m_s2: f64, elapsed_s: f64) {
-        let nearest = [cues.collision.nearest, cues.obstacle.nearest, cues.corridor.nearest];
-        let nearest = nearest.iter().flatten().min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
+        let nearest = nearest_reflections(cues).min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
         let nearest_m = nearest.map(|nearest| nearest.distance_m);
         let moved_m = self.place_m.map_or(0.0, |place_m| (pose.position_m() - place_m).norm());
         self.place_m = Some(pose.position_m());
@@ -58,9 +57,8 @@ impl Approach {
     pub(super) fn kept_away_rad_s(&self, turn_rad_s: f64, cues: &Cues, pose: &Pose2) -> f64 {
         let Some((walker_m, distance_m)) = self.walker.filter(|_| self.is_seen()) else { return turn_rad_s };
         let place_m = pose.local_from_parent(walker_m);
-        let nearest = [cues.collision.nearest, cues.obstacle.nearest, cues.corridor.nearest];
         let beside = |nearest: &NearestReflection| nearest.place_m[1] * place_m.y < 0.0;
-        let hemmed_in = nearest.iter().flatten().any(|nearest| beside(nearest) && nearest.distance_m < distance_m);
+        let hemmed_in = nearest_reflections(cues).any(|nearest| beside(&nearest) && nearest.distance_m < distance_m);
         let back = place_m.x > 0.0 && turn_rad_s * place_m.y > 0.0;
         if back && !hemmed_in { 0.0 } else { turn_rad_s }
     }
@@ -69,6 +67,11 @@ impl Approach {
     pub(super) fn is_seen(&self) -> bool {
         self.left_s > 0.0
     }
+}
+
+/// The nearest reflection of each region that has one.
+fn nearest_reflections(cues: &Cues) -> impl Iterator<Item = NearestReflection> {
+    [cues.collision.nearest, cues.obstacle.nearest, cues.corridor.nearest].into_iter().flatten()
 }
 
 #[cfg(test)]

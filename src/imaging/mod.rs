@@ -139,7 +139,6 @@ impl Imager {
         Ok(&self.image)
     }
 
-    /// Notes a failure of the GPU; gives it up when it is lost or has failed too often.
     /// Images `pings` on the chosen backend and on the CPU, and says whether the energyscapes agree within
     /// [`AGREEMENT_MAX`]; `None` when the GPU failed this set, so that there is nothing to compare yet. True without a
     /// GPU. Allocates: for the self-test, not for every ping.
@@ -160,6 +159,7 @@ impl Imager {
         })))
     }
 
+    /// Notes a failure of the GPU; gives it up when it is lost or has failed too often.
     fn gpu_failed(&mut self, error: BackendError) {
         self.redone_count += 1;
         self.failures_in_a_row += 1;
