@@ -1,0 +1,36 @@
+//! What the forty checks of the safety page share: how many trials each makes, and where its figures go.
+//!
+//! A plain test run makes about a thirtieth of the trials; `NOCTULE_FULL=1` makes all of them. Every figure is printed; where
+//! `NOCTULE_FIGURES` names a file it is also appended there, a JSON object a line, which is where the README's table comes from.
+#![allow(dead_code, reason = "every test file uses another part")]
+
+use std::fmt::Display;
+use std::io::Write as _;
+
+/// Share of the trials that a plain run makes.
+const SHARE: usize = 30;
+
+/// Whether all trials are asked for.
+pub fn is_full() -> bool {
+    std::env::var("NOCTULE_FULL").is_ok_and(|value| value == "1")
+}
+
+/// Trials to make where the full run makes `full`; a plain run makes a thirtieth, rounded up, and at least `least`.
+pub fn trials(full: usize, least: usize) -> usize {
+    if is_full() { full } else { full.div_ceil(SHARE).max(least.min(full)) }
+}
+
+/// Tells a measured figure of check `number` (1 to 40): what it is of, how many trials it rests on, and the bar it is held to, in
+/// words. To be called before the bar is asserted, so that a miss is on record too.
+pub fn figure(number: u8, what: &str, found: impl Display, bar: &str, trials: usize) {
+    assert!((1..=40).contains(&number), "there are forty checks, not {number}");
+    println!("check {number:02}: {what}: {found} ({bar}) in {trials} trials");
+    let Some(path) = std::env::var_os("NOCTULE_FIGURES") else { return };
+    let line = serde_json::json!({
+        "check": number, "what": what, "found": found.to_string(), "bar": bar, "trials": trials, "full": is_full(),
+    });
+    let file = std::fs::File::options().create(true).append(true).open(&path);
+    // One write call a line: test processes may append side by side.
+    let written = file.and_then(|mut file| file.write_all(format!("{line}\n").as_bytes()));
+    written.unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+}
