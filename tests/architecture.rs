@@ -51,6 +51,7 @@ const MAY_IMPORT: &[(&str, &[&str])] = &[
             "flow",
             "control",
             "safety",
+            "detect",
             "sim",
             "io",
             "signal",

@@ -1,7 +1,9 @@
 //! The command line as it may be typed (specification, section 11).
 
+mod detect;
 mod simulate;
 
+pub use detect::{DetectArguments, DetectorArgument};
 pub use simulate::{ConditionArguments, SimulateArguments};
 
 use super::bench::Case;
@@ -53,6 +55,8 @@ pub enum Command {
     Masks(MasksArguments),
     /// Time the stages and the whole ping, CPU and GPU side by side.
     Bench(BenchArguments),
+    /// Detect obstacles or objects in range readings: JSON on standard input to JSON on standard output.
+    Detect(DetectArguments),
     /// List every topic with its types and the byte offset of every field.
     Topics(TopicsArguments),
     /// Print what passes on a topic.

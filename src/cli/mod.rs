@@ -8,6 +8,7 @@ mod bench;
 mod check;
 mod config;
 mod demo;
+mod detect;
 mod log_queue;
 mod masks;
 mod output;
@@ -139,6 +140,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Simulate(arguments) => simulate::simulate(&arguments),
         Command::Masks(arguments) => masks::masks(&arguments),
         Command::Bench(arguments) => bench::bench(&arguments),
+        Command::Detect(arguments) => detect::detect(&arguments),
         Command::Topics(arguments) => topics::topics(&arguments),
         Command::Echo(arguments) => topics::echo(&arguments),
         Command::Check(arguments) => check::check(&arguments),
