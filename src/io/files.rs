@@ -110,6 +110,16 @@ pub(super) fn reserve(prefix: &str) -> Result<(), IpcError> {
     Ok(())
 }
 
+/// The file by which a node of the transport says that it uses a service.
+pub(super) fn service_tag(root: &Path, prefix: &str, node: u128, hash: &str) -> PathBuf {
+    root.join(format!("nodes/{node}/{prefix}{hash}.service_tag"))
+}
+
+/// Removes the file that announces a service; false where there is none.
+pub(super) fn remove_service_file(root: &Path, prefix: &str, hash: &str) -> bool {
+    std::fs::remove_file(root.join(format!("services/{prefix}{hash}.service"))).is_ok()
+}
+
 /// Bytes that are free in shared memory; none known where it has no directory.
 pub(super) fn free_bytes() -> Option<u64> {
     let space = rustix::fs::statvfs(SHARED_MEMORY).ok()?;

@@ -4,6 +4,7 @@
 //! carries the schema hash of its type as an attribute; a peer with another layout is refused here.
 
 use super::error::IpcError;
+use super::files;
 use super::node::{Ipc, Transport};
 use super::topics::{NODES_MAX, SCHEMA_ATTRIBUTE, Topic};
 use super::wire::{WireType, force_remove_service};
@@ -12,12 +13,13 @@ use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
 use iceoryx2::port::update_connections::UpdateConnections as _;
 use iceoryx2::prelude::{
     AllocationStrategy, AttributeVerifier, BackpressureStrategy, CallbackProgression, Config, MessagingPattern, Node, NodeState,
-    PortFactory as _, Service as _, ServiceName, ZeroCopySend,
+    PortFactory as _, Service, ServiceName, ZeroCopySend,
 };
 use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use iceoryx2::service::service_hash::ServiceHash;
 use std::fmt::Debug;
 use std::time::Duration;
 
@@ -127,8 +129,8 @@ impl<'a> Session<'a> {
         Ok(SliceSubscriber { port })
     }
 
-    /// The ladder: try; clean dead nodes and try; wait a moment and try; where nobody else lives, remove the service by
-    /// force and try.
+    /// The ladder: try; clean dead nodes, take away a service that cannot be opened and that nobody alive uses, and try; wait a
+    /// moment and try; where nobody else lives, remove the service by force and try.
     fn climb<T>(&self, topic: &Topic, attempt: impl Fn(&ServiceName) -> Result<T, Failure>) -> Result<T, IpcError> {
         let name = ServiceName::new(&topic.name)
             .map_err(|error| IpcError::Internal(format!("service name {}: {error:?}", topic.name)))?;
@@ -139,7 +141,12 @@ impl<'a> Session<'a> {
                 Err(Failure::Retry(error)) => error,
             };
             match step {
-                0 => drop(self.node.blocking_cleanup_dead_nodes(CLEANUP_LIMIT)),
+                0 => {
+                    let _ = self.node.blocking_cleanup_dead_nodes(CLEANUP_LIMIT);
+                    if matches!(error, IpcError::Stuck { .. }) {
+                        self.take_away_unused(&name);
+                    }
+                }
                 1 => std::thread::sleep(LEAVING_PAUSE),
                 2 if matches!(error, IpcError::Stuck { .. } | IpcError::Incompatible { .. }) && self.alone() => {
                     force_remove_service(self.node, &name);
@@ -148,6 +155,23 @@ impl<'a> Session<'a> {
             }
         }
         Err(self.ipc.stuck(topic.name.clone()))
+    }
+
+    /// Takes away the file that announces a service, unless a living process uses it. It may be half written, or announce
+    /// what is gone: the transport waits a second for it at each opening, and does not remove it when asked to.
+    fn take_away_unused(&self, name: &ServiceName) {
+        let hash = ServiceHash::new::<<Transport as Service>::ServiceNameHasher>(name, MessagingPattern::PublishSubscribe);
+        let mut used = false;
+        let listed = Node::<Transport>::list(self.config, |state| {
+            if matches!(&state, NodeState::Alive(_) | NodeState::Inaccessible(_)) {
+                let node = state.node_id().value();
+                used |= files::service_tag(self.ipc.root(), self.ipc.prefix(), node, hash.as_str()).exists();
+            }
+            CallbackProgression::Continue
+        });
+        if listed.is_ok() && !used && files::remove_service_file(self.ipc.root(), self.ipc.prefix(), hash.as_str()) {
+            log::warn!("service {name} was left unusable by a dead process and is made again");
+        }
     }
 
     /// Whether no other living process is registered under our root and prefix. What is registered by halves was left so
