@@ -142,19 +142,31 @@ fn next_controller() {
 
 // ------------------------------------------------------------------------------------------------------- the check
 
-/// Who is killed, who starts next, and whether the other one lives meanwhile.
+/// Who is killed, who starts next, and what the killed one found.
 #[derive(Debug, Clone, Copy)]
 struct Case {
     victim: &'static str,
     next: &'static str,
-    with_peer: bool,
+    found: Found,
 }
 
-const CASES: [Case; 4] = [
-    Case { victim: "daemon_life", next: "next_daemon", with_peer: false },
-    Case { victim: "daemon_life", next: "next_daemon", with_peer: true },
-    Case { victim: "controller_life", next: "next_controller", with_peer: false },
-    Case { victim: "controller_life", next: "next_controller", with_peer: true },
+/// What there is when the victim starts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Found {
+    /// Nothing.
+    Nothing,
+    /// The living other process, daemon or controller.
+    Peer,
+    /// What a daemon left that was killed before.
+    Leftovers,
+}
+
+const CASES: [Case; 5] = [
+    Case { victim: "daemon_life", next: "next_daemon", found: Found::Nothing },
+    Case { victim: "daemon_life", next: "next_daemon", found: Found::Peer },
+    Case { victim: "daemon_life", next: "next_daemon", found: Found::Leftovers },
+    Case { victim: "controller_life", next: "next_controller", found: Found::Nothing },
+    Case { victim: "controller_life", next: "next_controller", found: Found::Peer },
 ];
 
 /// The living other process of a case.
@@ -166,8 +178,13 @@ enum Peer {
 
 impl Case {
     fn start_peer(&self, place: &Place) -> Peer {
-        if !self.with_peer {
-            return Peer::None;
+        match self.found {
+            Found::Nothing => return Peer::None,
+            Found::Leftovers => {
+                leave_a_killed_daemon(place);
+                return Peer::None;
+            }
+            Found::Peer => {}
         }
         if self.victim == "daemon_life" {
             let process = Controller::start(place, &[]);
@@ -179,11 +196,7 @@ impl Case {
             }
             return Peer::Controller { _process: process };
         }
-        let ready = place.root().with_extension("ready");
-        let _ = fs::remove_file(&ready);
-        let process = spawn(this_program(place, "daemon_life").env("NOCTULE_TEST_STAYS", "1"));
-        assert!(appears(&ready, LIMIT), "the daemon does not start");
-        Peer::Daemon { _process: Killed(process) }
+        Peer::Daemon { _process: start_staying_daemon(place) }
     }
 
     /// Starts the successor; what it told, or why it did not.
@@ -191,7 +204,7 @@ impl Case {
         let told = place.root().with_extension("told");
         let _ = fs::remove_file(&told);
         let mut command = this_program(place, self.next);
-        if self.with_peer {
+        if self.found == Found::Peer {
             command.env("NOCTULE_TEST_STAYS", "1");
         }
         let begun = Instant::now();
@@ -241,6 +254,19 @@ impl Case {
     }
 }
 
+fn start_staying_daemon(place: &Place) -> Killed {
+    let ready = place.root().with_extension("ready");
+    let _ = fs::remove_file(&ready);
+    let process = Killed(spawn(this_program(place, "daemon_life").env("NOCTULE_TEST_STAYS", "1")));
+    assert!(appears(&ready, LIMIT), "the daemon does not start");
+    process
+}
+
+fn leave_a_killed_daemon(place: &Place) {
+    let _ = fs::remove_file(place.root().with_extension("ready"));
+    drop(start_staying_daemon(place));
+}
+
 fn spawn(command: &mut std::process::Command) -> Child {
     command.spawn().expect("started")
 }
@@ -275,8 +301,7 @@ fn a_kill_after_any_file_system_call_heals_at_the_next_start_or_ends_with_75_in_
                     Err(why) => failed.push(format!("call {at}, {}: {why}", calls[at - 1])),
                 }
             }
-            let peer = if case.with_peer { "with a living peer" } else { "alone" };
-            let what = format!("{} killed, {peer}, seed {seed}", case.victim);
+            let what = format!("{} killed, found {:?}, seed {seed}", case.victim, case.found).to_lowercase();
             let found = format!("{healed} healed, {refused} ended with 75, {} failed, worst {worst_ms} ms", failed.len());
             checks::figure(10, &what, found, "100 % READY or 75 within 5 s", points.len());
             assert_eq!(failed, Vec::<String>::new(), "{case:?}");
@@ -304,7 +329,7 @@ fn library_life() {
 fn without_our_ladder_the_transport_fails_or_hangs_on_some_of_the_same_points() {
     isolated("without_our_ladder_the_transport_fails_or_hangs_on_some_of_the_same_points", "256m", || {
         let Some(shim) = Shim::build() else { return };
-        let case = Case { victim: "library_life", next: "library_life", with_peer: false };
+        let case = Case { victim: "library_life", next: "library_life", found: Found::Nothing };
         let calls = case.calls(&shim);
         // A plain run takes the points that are known to be bad: files in shared memory without a size, or half made.
         let suspicious = |call: &&usize| checks::is_full() || calls[**call - 1].starts_with("shm_open");
@@ -328,10 +353,7 @@ fn a_start_alone_takes_even_a_world_of_garbage() {
         let case = CASES[0];
         for content in [&b""[..], &[0xa5; 16], &[0; 4096]] {
             let place = Place::new();
-            let mut life = Killed(spawn(this_program(&place, "daemon_life").env("NOCTULE_TEST_STAYS", "1")));
-            assert!(appears(&place.root().with_extension("ready"), LIMIT));
-            life.0.kill().expect("killed");
-            life.0.wait().expect("gone");
+            leave_a_killed_daemon(&place);
             let mut paths = Vec::new();
             files_below(&place.root(), &mut paths);
             let shared = ipc_rig::shared_memory_files(&place.params.prefix);
@@ -341,5 +363,32 @@ fn a_start_alone_takes_even_a_world_of_garbage() {
             let told = case.start_next(&place).expect("ends in time");
             assert!(told.starts_with("healed"), "{} bytes in every file: {told}", content.len());
         }
+    });
+}
+
+/// Where a living process uses what is spoilt, no start can heal it: that is what the supervisor's wipe is for.
+#[test]
+fn a_service_spoilt_under_a_living_controller_ends_with_75_in_time_and_works_after_the_wipe() {
+    isolated("a_service_spoilt_under_a_living_controller_ends_with_75_in_time_and_works_after_the_wipe", "256m", || {
+        let case = CASES[1];
+        let mut worst_ms = 0;
+        let contents = [&b""[..], &[0xa5; 16], &[0xa5; 4096]];
+        for content in contents {
+            let place = Place::new();
+            let peer = case.start_peer(&place);
+            let services = place.left_behind().into_iter().filter(|path| path.ends_with(".service"));
+            services.for_each(|path| fs::write(path, content).expect("spoilt"));
+            let told = case.start_next(&place).expect("ends in time");
+            assert!(told.starts_with("75"), "{} bytes: {told}", content.len());
+            worst_ms = worst_ms.max(told.split(' ').nth(1).and_then(|ms| ms.parse().ok()).unwrap_or(u32::MAX));
+            drop(peer);
+            wipe(&place.params).expect("wiped");
+            let _peer = case.start_peer(&place);
+            let told = case.start_next(&place).expect("ends in time");
+            assert!(told.starts_with("healed"), "after the wipe: {told}");
+        }
+        let what = "service spoilt under a living controller, then the supervisor's wipe";
+        checks::figure(10, what, format!("75 after {worst_ms} ms, then works"), "75 within 5 s", contents.len());
+        assert!(u128::from(worst_ms) <= LIMIT.as_millis());
     });
 }

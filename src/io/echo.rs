@@ -57,7 +57,8 @@ impl Echo {
             .find(|known| known.name == topic)
             .ok_or_else(|| IpcError::UnknownTopic { topic: topic.to_owned(), known: known() })?
             .clone();
-        let (registration, port) = ipc.set_up("noctule-echo", Needs::new().subscriber(&found), move |session| listen(session, &found))?;
+        let needs = Needs::new().subscriber(&found);
+        let (registration, port) = ipc.set_up("noctule-echo", needs, move |session| listen(session, &found))?;
         Ok(Self { port, json, _registration: registration })
     }
 
