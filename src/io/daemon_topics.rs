@@ -4,7 +4,7 @@
 //! nothing here allocates, and no call waits. Dropping it removes what it made.
 
 use super::error::IpcError;
-use super::node::{Ipc, Registration};
+use super::node::{Ipc, Needs, Registration};
 use super::root::DaemonLock;
 use super::session::{FixedPublisher, FixedSubscriber, SlicePublisher};
 use super::topics::Topic;
@@ -23,7 +23,7 @@ pub struct DaemonTopics {
     epoch: u64,
     publisher_id: u64,
     sequence: u64,
-    _registration: Registration,
+    registration: Registration,
     lock: DaemonLock,
 }
 
@@ -43,13 +43,19 @@ impl DaemonTopics {
     /// Shared memory that [`DaemonTopics::open`] needs, in bytes.
     #[must_use]
     pub fn needed_bytes(sensors: &[String], cell_counts: &[usize]) -> u64 {
-        let images: u64 = sensors
-            .iter()
-            .zip(cell_counts)
-            .map(|(sensor, &cell_count)| Topic::energyscape(sensor).publisher_bytes(cell_count))
-            .sum();
-        let reports = [Topic::cues(), Topic::command(), Topic::health()];
-        images + reports.iter().map(|topic| topic.publisher_bytes(1)).sum::<u64>() + SPARE_BYTES
+        Self::needs(sensors, cell_counts).bytes()
+    }
+
+    fn needs(sensors: &[String], cell_counts: &[usize]) -> Needs {
+        let mut needs = Needs::new().spare(SPARE_BYTES);
+        for (sensor, &cell_count) in sensors.iter().zip(cell_counts) {
+            needs = needs.publisher(&Topic::energyscape(sensor), cell_count);
+        }
+        for topic in [Topic::cues(), Topic::command(), Topic::health()] {
+            needs = needs.publisher(&topic, 1);
+        }
+        let heard = [Topic::input(), Topic::operator(), Topic::odometry(), Topic::platform()];
+        heard.iter().fold(needs, Needs::subscriber)
     }
 
     /// Opens everything, for sensors named `sensors` whose energyscapes have `cell_counts` cells.
@@ -58,10 +64,10 @@ impl DaemonTopics {
     /// [`IpcError`]: 69 another daemon or commander, 73 too little shared memory, 75 stuck, 77 not ours.
     pub fn open(ipc: &Ipc, sensors: &[String], cell_counts: &[usize]) -> Result<Self, IpcError> {
         let lock = ipc.lock_daemon()?;
-        ipc.check_space(Self::needed_bytes(sensors, cell_counts))?;
+        let needs = Self::needs(sensors, cell_counts);
         let images: Vec<(Topic, usize)> =
             sensors.iter().zip(cell_counts).map(|(sensor, &count)| (Topic::energyscape(sensor), count)).collect();
-        let (registration, ports) = ipc.set_up("noctule-daemon", move |session| {
+        let (registration, ports) = ipc.set_up("noctule-daemon", needs, move |session| {
             Ok(Ports {
                 // First, so that a second commander is refused before anything else is there.
                 command: session.publisher(&Topic::command())?,
@@ -77,8 +83,7 @@ impl DaemonTopics {
                 platform: session.subscriber(&Topic::platform())?,
             })
         })?;
-        ipc.reserve_memory()?;
-        Ok(Self { ports, epoch: fresh_id(), publisher_id: fresh_id(), sequence: 0, _registration: registration, lock })
+        Ok(Self { ports, epoch: fresh_id(), publisher_id: fresh_id(), sequence: 0, registration, lock })
     }
 
     /// Random number of this start of the daemon: what an arm request must carry.
@@ -87,10 +92,10 @@ impl DaemonTopics {
         self.epoch
     }
 
-    /// Whether the root is still the one that was opened. False means that somebody removed it under us: stop, exit 75.
+    /// Whether root and shared memory still hold what was opened. False means that somebody removed it under us: stop, exit 75.
     #[must_use]
     pub fn is_intact(&self) -> bool {
-        self.lock.is_ours()
+        self.lock.is_ours() && self.registration.lost().is_none()
     }
 
     /// Publishes a sensor's energyscape, written straight into shared memory.
