@@ -10,8 +10,8 @@ use noctule::safety::{
     CommandSample, DaemonEvent, DaemonState, Gate, GateEvent, GateState, OperatorEvent, SafetyParams,
 };
 use noctule::service::pipeline::{Outcome, Pipeline};
-use noctule::service::wiring::{self, SensingSetup};
 use noctule::service::simulator;
+use noctule::service::wiring::{self, SensingSetup};
 use noctule::signal::{PingSet, SampleFormat, Samples, Velocity};
 use noctule::sim::{SimParams, World};
 use noctule::time::Stamp;
@@ -100,16 +100,7 @@ impl Rig {
         pipeline.tell(DaemonEvent::Started, stamp(now_ns));
         let gate = Gate::new(config.gate_params(), stamp(now_ns));
         let _ = SafetyParams::default();
-        Self {
-            pipeline,
-            gate,
-            now_ns,
-            sequence: 0,
-            commands: 0,
-            told: Vec::new(),
-            emitted_ns: 0,
-            waiting: None,
-        }
+        Self { pipeline, gate, now_ns, sequence: 0, commands: 0, told: Vec::new(), emitted_ns: 0, waiting: None }
     }
 
     /// One period: the set is emitted now, decided on 56 ms later, and the gate ticks all the time.

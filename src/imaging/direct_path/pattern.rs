@@ -130,6 +130,20 @@ pub struct Calibration {
     pub residual_m: f64,
 }
 
+impl std::fmt::Display for Calibration {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { pings, channels, speed_of_sound_m_s, emitter_m, offset_s, residual_m } = self;
+        let [x_mm, y_mm, z_mm] = [emitter_m.x, emitter_m.y, emitter_m.z].map(|place_m| 1e3 * place_m);
+        write!(
+            f,
+            "the direct path fits the array to {:.2} mm rms on {channels} channels over {pings} pings, with {speed_of_sound_m_s:.1} m/s, \
+             the emitter at ({x_mm:.1}, {y_mm:.1}, {z_mm:.1}) mm and the emission {:.1} us late",
+            1e3 * residual_m,
+            1e6 * offset_s
+        )
+    }
+}
+
 /// Fits offset, speed of sound and the emitter's y and z: `heard` yields each microphone's place and mean deviation. `None` with
 /// fewer than six.
 pub(super) fn calibrate(
@@ -157,12 +171,8 @@ pub(super) fn calibrate(
             let (left_m, shifted_m) = residual(&found, &place_m, deviation_m);
             let distance_m = shifted_m.norm().max(1e-6);
             let stretch = 1.0 + found[1];
-            let row = Vector4::new(
-                1.0,
-                distance_m,
-                -stretch * shifted_m.y / distance_m,
-                -stretch * shifted_m.z / distance_m,
-            );
+            let row =
+                Vector4::new(1.0, distance_m, -stretch * shifted_m.y / distance_m, -stretch * shifted_m.z / distance_m);
             normal += row * row.transpose();
             right += row * left_m;
         }
@@ -227,9 +237,10 @@ mod tests {
     fn the_emitters_place_and_the_speed_of_sound_are_found_again() {
         let array = MicrophoneArray::ertis_v3d1();
         let truth_m = EMITTER_M + Vector3::new(0.0, 1.5e-3, 0.0);
-        let heard = array.positions_m.iter().map(|place_m| {
-            (*place_m, (place_m - truth_m).norm() * 343.0 / 340.0 - (place_m - EMITTER_M).norm())
-        });
+        let heard = array
+            .positions_m
+            .iter()
+            .map(|place_m| (*place_m, (place_m - truth_m).norm() * 343.0 / 340.0 - (place_m - EMITTER_M).norm()));
         let found = calibrate(heard, EMITTER_M, 343.0).expect("enough channels");
         assert!((found.emitter_m.y - 1.5e-3).abs() < 1e-4, "{found:?}");
         // Height, speed and offset are hard to tell apart; what they leave together is little.

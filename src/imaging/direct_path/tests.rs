@@ -161,7 +161,8 @@ fn a_ping_of_nothing_or_of_no_sensor_is_harmless() {
     let sensor = sensor();
     let plan = plan(&sensor, SampleFormat::PcmF32);
     let mut path = DirectPath::new(&plan, &[sensor], 343.0);
-    for (sensor_index, samples) in [(0, Samples::PcmF32(vec![])), (7, Samples::PcmF32(vec![])), (0, Samples::Pdm(vec![1]))]
+    for (sensor_index, samples) in
+        [(0, Samples::PcmF32(vec![])), (7, Samples::PcmF32(vec![])), (0, Samples::Pdm(vec![1]))]
     {
         let ping = RawPing { sensor_index, sequence: 0, emitted_at: Stamp::default(), samples: Arc::new(samples) };
         assert_eq!(path.listen(&plan, &ping), DirectFindings::default());
