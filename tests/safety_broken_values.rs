@@ -15,23 +15,13 @@ use noctule::service::wiring;
 use noctule::signal::{CoverageCue, Cues, PingSet, RowSums, SENSORS_MAX, Samples, Velocity};
 use noctule::sim::SimParams;
 use noctule::time::Stamp;
-use perception_rig::{LATENCY_NS, MS, Random, Rig, Z1_MS, config, hall, recorded};
+use perception_rig::{MS, RECORDING_NS, Random, Rig, Z1_MS, config, hall, recorded};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
 /// What is no honest number, or only just one.
-const VALUES: [f32; 10] = [
-    f32::NAN,
-    -f32::NAN,
-    f32::INFINITY,
-    f32::NEG_INFINITY,
-    1e38,
-    -1e38,
-    1e-40,
-    -1e-40,
-    -0.0,
-    f32::MIN_POSITIVE,
-];
+const VALUES: [f32; 10] =
+    [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e38, -1e38, 1e-40, -1e-40, -0.0, f32::MIN_POSITIVE];
 
 fn value(random: &mut Random) -> f32 {
     // Any NaN is one.
@@ -107,7 +97,7 @@ fn a_result_that_is_no_number_stops_the_robot_within_z1() {
     for run in 0..runs {
         let value = value(&mut random);
         *spoil.lock().expect("lock") = Some((value, random.next() as usize));
-        let arrival_ns = rig.now_ns + LATENCY_NS;
+        let arrival_ns = rig.now_ns + RECORDING_NS;
         let moved = rig.told.last().is_none_or(|(_, velocity)| velocity.linear_m_s > 0.0);
         let outcome = rig.step(&good[run % 6], |_| {});
         *spoil.lock().expect("lock") = None;
@@ -202,7 +192,9 @@ fn sums_and_wanted_velocities_that_are_no_numbers_never_move_the_robot() {
             let cues = masks.fuse(&sums, used, now, 0);
             let broken = masks.broken_sensors(&sums);
             assert!(!sums_are_broken || broken.contains(&true), "{bad}");
-            assert!(!sums_are_broken || (cues.coverage == CoverageCue::default() && cues.collision.energy == f32::INFINITY));
+            assert!(
+                !sums_are_broken || (cues.coverage == CoverageCue::default() && cues.collision.energy == f32::INFINITY)
+            );
             cues
         } else {
             let other = f64::from(value(&mut random));
@@ -256,17 +248,29 @@ fn raw_rows_that_are_no_numbers_are_found_by_their_bits() {
         }
         assert!(report.gains.iter().all(|gain| gain.is_finite()));
     }
-    figure(2, "channels with a value that is no number and not found, or found where none is", 0, "0", found.into_inner() as usize);
+    figure(
+        2,
+        "channels with a value that is no number and not found, or found where none is",
+        0,
+        "0",
+        found.into_inner() as usize,
+    );
 }
 
 #[test]
 fn gains_and_limits_that_are_no_numbers_are_refused() {
-    let keys = ["obstacle_avoidance.lambda", "obstacle_avoidance.mu", "flow_following.lambda", "collision_avoidance.threshold"];
+    let keys = [
+        "obstacle_avoidance.lambda",
+        "obstacle_avoidance.mu",
+        "flow_following.lambda",
+        "collision_avoidance.threshold",
+    ];
     let mut refused = 0;
     for key in keys {
         for bad in ["nan", "-nan", "inf", "-inf", "-1e38"] {
             let text = format!("[control]\n{key} = {bad}\n");
-            let params = toml::from_str::<toml::Table>(&text).expect("TOML")["control"].clone().try_into::<ControlParams>();
+            let params =
+                toml::from_str::<toml::Table>(&text).expect("TOML")["control"].clone().try_into::<ControlParams>();
             let accepted = params.is_ok_and(|params| params.validate().is_ok());
             assert!(!accepted, "{key} = {bad}");
             refused += 1;

@@ -32,8 +32,8 @@ fn spoil(set: &mut PingSet, sensor: usize, channels: &[usize], bad: Bad, random:
             *value = match bad {
                 Bad::Zero => 0.0,
                 Bad::Stuck => 0.125,
-                // Twice what twelve uniform numbers have; the simulator's noise is 1e-3 rms.
-                Bad::Noisy => (*value + 0.5e-2 * random.gaussian()).clamp(-1.0, 1.0),
+                // The simulator's noise is 1e-3 rms.
+                Bad::Noisy => (*value + 1e-2 * random.gaussian()).clamp(-1.0, 1.0),
             };
         }
     }
@@ -85,7 +85,8 @@ fn bad_microphones_lead_to_the_right_state_within_five_sets() {
                     let blind = daemon.group(|group| {
                         group.sensors = outcome.findings;
                         group.sensors.iter_mut().for_each(|findings| {
-                            *findings = SensorFindings { bad_channels: 0, direct_path: true, ..*findings };
+                            *findings =
+                                SensorFindings { bad_channels: 0, direct_path: true, frozen: false, ..*findings };
                             (findings.channel_map_doubted, findings.channel_map_fits) = (false, true);
                         });
                     });
