@@ -16,6 +16,7 @@ pub mod steering;
 
 use crate::signal::{MaskTable, PingSet};
 use backend::{Backend, BackendError, BackendKind, BackendReport, Image};
+use channels::ChannelFinding;
 use cpu::CpuBackend;
 use params::Prefer;
 use plan::ImagingPlan;
@@ -137,6 +138,13 @@ impl Imager {
         self.cpu.image(pings, &mut self.image)?;
         self.stage_times_ns = self.cpu.stage_times_ns();
         Ok(&self.image)
+    }
+
+    /// Says what is known of a sensor's channels beside their samples; they are left out of its images from now on.
+    pub fn set_known_channels(&mut self, sensor_index: usize, known: &[ChannelFinding]) {
+        if let Some(report) = self.image.channels.get_mut(sensor_index) {
+            report.set_known(known);
+        }
     }
 
     /// Images `pings` on the chosen backend and on the CPU, and says whether the energyscapes agree within

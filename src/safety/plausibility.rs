@@ -1,9 +1,14 @@
 //! What can be judged of raw pings by their bytes, numbers and stamps: repeated samples, gaps, duplicates and steps
 //! backwards in the sequence, and the spread of a set's emission times.
 //!
+//! What was emitted before a ping that was used is not used any more, whatever its number. A driver that starts again counts from
+//! another number, and all it delivers would look old for ever: five such pings in a row, each the next and each emitted
+//! after everything that was ever used, are a new beginning; so are five whose numbers go on after one with a stamp from the future.
+//!
 //! Raw pings in, findings out; the consequences are the daemon's ([`super::daemon`]). What needs signal processing (direct
 //! path, channel delays, dead channels) is found elsewhere. Allocates nothing.
 
+use super::GOOD_IN_A_ROW;
 use crate::signal::{PingSet, RawPing, SENSORS_MAX, Samples};
 
 /// How a ping's sequence number follows the one before.
@@ -59,6 +64,23 @@ pub fn desync_ns(pings: &PingSet) -> u64 {
     }
 }
 
+/// Takes the pings out of a set that were emitted a period or more before the newest: they belong to another trigger. Returns whether
+/// there were any; the set's own stamp is then the oldest of those left.
+pub fn drop_other_triggers(pings: &mut PingSet, period_ns: u64) -> bool {
+    let newest_ns = pings.iter_present().map(|ping| ping.emitted_at.boottime_ns).max().unwrap_or(0);
+    let mut dropped = false;
+    for (ping, present) in pings.pings.iter().zip(&mut pings.present) {
+        let other = *present && newest_ns - ping.emitted_at.boottime_ns >= period_ns;
+        *present &= !other;
+        dropped |= other;
+    }
+    if dropped {
+        let oldest = pings.iter_present().map(|ping| ping.emitted_at).min_by_key(|stamp| stamp.boottime_ns);
+        pings.emitted_at = oldest.unwrap_or(pings.emitted_at);
+    }
+    dropped
+}
+
 /// What [`Plausibility::observe`] found of one ping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PingObservation {
@@ -81,6 +103,40 @@ struct Memory {
     sequence: Option<u64>,
     checksum: Option<u32>,
     gaps_in_a_row: u32,
+    /// Latest emission of a ping used.
+    emitted_ns: u64,
+    again: Option<Again>,
+}
+
+/// Pings that look old in a row, each the next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Again {
+    sequence: u64,
+    emitted_ns: u64,
+    run: u32,
+}
+
+impl Memory {
+    /// How a ping follows what was used before, by number and by stamp.
+    fn step(&mut self, ping: &RawPing) -> SequenceStep {
+        let emitted_ns = ping.emitted_at.boottime_ns;
+        let step = sequence_step(self.sequence, ping.sequence);
+        let earlier = emitted_ns < self.emitted_ns;
+        if step.usable() && !earlier {
+            return step;
+        }
+        let follows =
+            |before: &Again| ping.sequence == before.sequence.wrapping_add(1) && emitted_ns > before.emitted_ns;
+        let run = self.again.filter(follows).map_or(1, |before| before.run + 1);
+        // Old by number and by stamp is a late delivery.
+        let may_begin = step.usable() || emitted_ns > self.emitted_ns;
+        self.again = may_begin.then_some(Again { sequence: ping.sequence, emitted_ns, run });
+        if may_begin && run >= GOOD_IN_A_ROW {
+            self.emitted_ns = 0;
+            return SequenceStep::Next;
+        }
+        if step.usable() { SequenceStep::Backward } else { step }
+    }
 }
 
 impl Plausibility {
@@ -90,7 +146,7 @@ impl Plausibility {
         let Some(memory) = self.sensors.get_mut(ping.sensor_index) else {
             return PingObservation { step: SequenceStep::Next, gaps_in_a_row: 0, frozen: false };
         };
-        let step = sequence_step(memory.sequence, ping.sequence);
+        let step = memory.step(ping);
         if !step.usable() {
             return PingObservation { step, gaps_in_a_row: memory.gaps_in_a_row, frozen: false };
         }
@@ -100,14 +156,9 @@ impl Plausibility {
             if matches!(step, SequenceStep::Gap(_)) { memory.gaps_in_a_row.saturating_add(1) } else { 0 };
         memory.sequence = Some(ping.sequence);
         memory.checksum = Some(checksum);
+        memory.emitted_ns = memory.emitted_ns.max(ping.emitted_at.boottime_ns);
+        memory.again = None;
         PingObservation { step, gaps_in_a_row: memory.gaps_in_a_row, frozen }
-    }
-
-    /// Forgets a sensor whose driver started again with other numbers.
-    pub fn forget(&mut self, sensor_index: usize) {
-        if let Some(memory) = self.sensors.get_mut(sensor_index) {
-            *memory = Memory::default();
-        }
     }
 }
 
@@ -154,6 +205,25 @@ mod tests {
         let older = memory.observe(&ping(4, 0.1));
         assert_eq!((older.step, older.step.usable()), (SequenceStep::Backward, false));
         assert_eq!(memory.observe(&ping(6, 0.7)).step, SequenceStep::Next);
+    }
+
+    #[test]
+    fn a_driver_that_starts_again_is_believed_at_its_fifth_ping_and_late_deliveries_never_are() {
+        let at = |sequence: u64, emitted_ns: u64| {
+            let mut ping = ping(sequence, emitted_ns as f32);
+            ping.emitted_at.boottime_ns = emitted_ns;
+            ping
+        };
+        let mut memory = Plausibility::default();
+        (90..100).for_each(|number| assert!(memory.observe(&at(number, number * 100)).step.usable()));
+        let usable: Vec<bool> =
+            (0..7).map(|number| memory.observe(&at(number, 10_000 + number * 100)).step.usable()).collect();
+        assert_eq!(usable, [false, false, false, false, true, true, true]);
+        // Old pings in their old order, and one that is repeated: none of them is a beginning.
+        let mut memory = Plausibility::default();
+        (90..100).for_each(|number| assert!(memory.observe(&at(number, number * 100)).step.usable()));
+        (80..99).for_each(|number| assert!(!memory.observe(&at(number, number * 100)).step.usable()));
+        (0..9).for_each(|time| assert!(!memory.observe(&at(7, 20_000 + time)).step.usable()));
     }
 
     #[test]

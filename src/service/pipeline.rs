@@ -9,7 +9,8 @@ use crate::geometry::Pose2;
 use crate::imaging::Imager;
 use crate::imaging::backend::{BackendError, BackendKind, Image};
 use crate::imaging::channels::ChannelReport;
-use crate::imaging::direct_path::{DirectPath, HEARD_MIN};
+use crate::imaging::direct_path::{Calibration, ChannelMap, DirectPath, HEARD_MIN};
+use crate::safety::daemon::CLIPPED_CHANNELS_MAX;
 use crate::safety::{
     Daemon, DaemonEvent, DaemonOutput, DaemonState, GroupFindings, Plausibility, SensorFindings, plausibility,
 };
@@ -45,6 +46,8 @@ pub struct Pipeline {
     direct_path: DirectPath,
     /// Way that the robot needs to see to be allowed the slowest forward motion.
     needed_ahead_m: f64,
+    /// From one trigger of the sensors to the next.
+    period_ns: u64,
     fell_back: bool,
 }
 
@@ -61,6 +64,7 @@ impl Pipeline {
             controller,
             plausibility: Plausibility::default(),
             needed_ahead_m: config.platform.radius_m,
+            period_ns: (1e9 / config.control.rate_hz) as u64,
             fell_back: false,
             setup,
             masks,
@@ -78,6 +82,12 @@ impl Pipeline {
     #[must_use]
     pub fn image(&self) -> &Image {
         self.imager.last_image()
+    }
+
+    /// Name of each sensor whose direct path was judged, and what fits it best.
+    pub fn calibrations(&self) -> impl Iterator<Item = (&str, Calibration)> {
+        let sensors = self.setup.sensors.iter().enumerate();
+        sensors.filter_map(|(index, sensor)| Some((sensor.name.as_str(), self.direct_path.calibration(index)?)))
     }
 
     /// The backend chooser.
@@ -102,7 +112,8 @@ impl Pipeline {
         output
     }
 
-    /// Images a ping set, decides, and updates the state. Pings that must not be used twice are marked absent in `pings`.
+    /// Images a ping set, decides, and updates the state. Pings that must not be used twice, or
+    /// belong to another trigger, are marked absent in `pings`.
     ///
     /// # Errors
     /// When no backend can image the set; the state machine has been told, and a zero velocity is to be published.
@@ -114,6 +125,7 @@ impl Pipeline {
         pose: Option<Pose2>,
     ) -> Result<Outcome, BackendError> {
         let mut findings = [SensorFindings::ABSENT; SENSORS_MAX];
+        plausibility::drop_other_triggers(pings, self.period_ns);
         let desync_ns = plausibility::desync_ns(pings);
         self.judge_deliveries(pings, &mut findings);
         let captured_at_ns = pings.emitted_at.boottime_ns;
@@ -125,9 +137,13 @@ impl Pipeline {
             return Err(error);
         }
         let image = self.imager.last_image();
+        let broken = self.masks.broken_sensors(&image.sums);
         let mut used = [false; SENSORS_MAX];
         for (index, report) in image.channels.iter().enumerate().filter(|(index, _)| pings.present[*index]) {
-            judge_channels(&mut findings[index], report, image.imaged[index]);
+            judge_channels(&mut findings[index], report, image.imaged[index] && !broken[index]);
+            if findings[index].clipped_channels > CLIPPED_CHANNELS_MAX {
+                self.direct_path.disregard(index);
+            }
             // A sensor that does not hear its own emission is no witness of free space.
             used[index] = findings[index].is_usable() && findings[index].direct_path;
         }
@@ -144,7 +160,7 @@ impl Pipeline {
         Ok(Outcome { cues, decision, velocity: output.limit(decision.velocity), output, findings, used })
     }
 
-    /// Judges what needs no image: numbers, repeated samples, the direct path. A ping that was used before or is older than
+    /// Judges what needs no image: numbers, repeated samples, the direct path on every channel. A ping that was used before or is older than
     /// one used before is taken out of the set.
     fn judge_deliveries(&mut self, pings: &mut PingSet, findings: &mut [SensorFindings; SENSORS_MAX]) {
         let slots = pings.pings.iter().zip(&mut pings.present).zip(findings);
@@ -154,12 +170,15 @@ impl Pipeline {
                 *present = false;
                 continue;
             }
-            let heard = self.direct_path.correlation(&self.setup.plan, ping);
+            let heard = self.direct_path.listen(&self.setup.plan, ping);
+            self.imager.set_known_channels(ping.sensor_index, self.direct_path.unfit(ping.sensor_index));
             *findings = SensorFindings {
                 frozen: observed.frozen,
                 gaps_in_a_row: observed.gaps_in_a_row,
                 // NaN is not heard.
-                direct_path: heard >= HEARD_MIN,
+                direct_path: heard.correlation >= HEARD_MIN,
+                channel_map_fits: heard.map != ChannelMap::Wrong,
+                channel_map_doubted: matches!(heard.map, ChannelMap::Unknown | ChannelMap::Doubted),
                 ..SensorFindings::GOOD
             };
         }
@@ -189,11 +208,15 @@ impl Pipeline {
         self.fell_back
     }
 
-    /// Whether lost sensors leave the way ahead unseen that all sensors together would see.
+    /// Whether lost sensors leave unseen what all sensors together would see: the way ahead, or a place of the CA region on it.
     fn view_missing(&self, used: [bool; SENSORS_MAX], ahead_m: f64) -> bool {
         let count = self.setup.sensors.len();
         let all: [bool; SENSORS_MAX] = std::array::from_fn(|index| index < count);
-        used != all && !(ahead_m >= self.needed_ahead_m) && self.masks.coverage(all).ahead_m >= self.needed_ahead_m
+        if used == all {
+            return false;
+        }
+        let seen = ahead_m >= self.needed_ahead_m || !(self.masks.coverage(all).ahead_m >= self.needed_ahead_m);
+        !seen || self.masks.lacks_cover_ahead(used)
     }
 }
 
