@@ -9,13 +9,13 @@ mod life_rig;
 use checks::{figure, trials};
 use ipc_rig::{FakeDaemon, MS, Metronome, Place};
 use judge::{Judge, LATCHED, Z2_NS, now_ns};
-use life_rig::stand_in::{self, Fault};
-use life_rig::{Life, Process, SOON, assert_z2, child_with, controller_command, in_ms, stopped};
+use life_rig::{Fate, Life, Process, SOON, Shim, assert_z2, child_with, controller_command, in_ms, stopped};
 use noctule::io::OperatorClient;
 use noctule::io::wire::message::Request;
 use rustix::process::{Pid, Signal};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
+use tempfile::TempDir;
 
 /// Time after which every silent fault must have been answered.
 const AFTERMATH: Duration = Duration::from_millis(450);
@@ -24,11 +24,6 @@ const BAR: &str = "<= 350 ms, every trial";
 #[test]
 fn judge_process() {
     judge::serve_if_asked();
-}
-
-#[test]
-fn stand_in_process() {
-    stand_in::serve_if_asked();
 }
 
 // ------------------------------------------------------------------------------------------------ check 4: killed
@@ -97,22 +92,23 @@ fn a_daemon_whose_deciding_or_acquiring_thread_hangs_is_followed_by_zero_within_
     let count = trials(50, 4);
     let (mut worst_ns, mut latest_end_ns) = (0, 0);
     for trial in 0..count {
-        let fault = if trial % 2 == 0 { Fault::ParkedDecision } else { Fault::ParkedSource };
-        let mut life = Life::with_stand_in(fault);
+        let thread = ["noctule-decide", "noctule-acquire"][trial % 2];
+        let directory = TempDir::new().expect("directory");
+        let shim = Shim::new(directory.path());
+        let mut life = Life::with(|command| shim.load(command), |command| command);
         life.drive(trial);
-        std::fs::write(stand_in::trigger(&life.place), "").expect("triggered");
-        let parked_ns = now_ns();
+        shim.strike(thread, Fate::Hang);
+        let hung_ns = shim.struck_at(SOON);
         life.judge.watch_for(AFTERMATH);
-        let stop = stopped(&life.judge.record, parked_ns);
         assert!(life.daemon.is_alive(), "the other threads live on until the hang is certain");
-        let (ended_ns, status) = life.daemon.ended_at(SOON);
-        assert_eq!(status.code(), Some(70), "{fault:?}");
-        // The thread may have finished a ping set, and so have beaten, up to a period after the trigger.
-        latest_end_ns = latest_end_ns.max(ended_ns - parked_ns);
-        // What was captured before the thread hung may still have been decided on: the robot stands Z2 after that.
+        let stop = stopped(&life.judge.record, hung_ns);
+        // What was captured before a source hung may still be decided on: the robot stands Z2 after that.
         let after_capture_ns = stop.zero_ns - life.judge.record.captured_before(stop.zero_ns).expect("heard");
         worst_ns = worst_ns.max(after_capture_ns);
-        assert!(after_capture_ns <= Z2_NS, "{fault:?}, trial {trial}: {}", in_ms(after_capture_ns));
+        assert!(after_capture_ns <= Z2_NS, "{thread}, trial {trial}: {}", in_ms(after_capture_ns));
+        let (ended_ns, status) = life.daemon.ended_at(SOON);
+        assert_eq!(status.code(), Some(70), "{thread}");
+        latest_end_ns = latest_end_ns.max(ended_ns - hung_ns);
     }
     figure(5, "last capture to zero, a thread hangs", in_ms(worst_ns), BAR, count);
     figure(5, "hang of a thread to the end of the process", in_ms(latest_end_ns), "<= 2 s", count);

@@ -10,7 +10,7 @@ use checks::{figure, trials};
 use ipc_rig::MS;
 use judge::now_ns;
 use life_rig::stand_in::{self, Fault};
-use life_rig::{Life, SOON, Shim, assert_z2, blocked_pipe, in_ms, stopped, threads};
+use life_rig::{Fate, Life, SOON, Shim, assert_z2, blocked_pipe, in_ms, stopped, threads};
 use rustix::process::Signal;
 use std::time::Duration;
 use tempfile::TempDir;
@@ -109,7 +109,7 @@ fn a_panic_in_any_thread_ends_the_process_with_70_in_200_ms_and_the_robot_stands
             Of::Controller => Life::with(|command| command, |command| shim.load(command)),
         };
         life.drive(trial);
-        shim.strike(name, false);
+        shim.strike(name, Fate::Panic);
         let struck_ns = shim.struck_at(SOON);
         let process = if of == Of::Daemon { &mut life.daemon } else { &mut life.controller };
         let (ended_ns, status) = process.ended_at(SOON);
@@ -142,7 +142,7 @@ fn a_thread_that_vanishes_ends_the_process_with_70_within_two_seconds_and_the_ro
         let shim = Shim::new(directory.path());
         let mut life = Life::with(|command| shim.load(command), |command| command);
         life.drive(trial);
-        shim.strike(names[trial % 2], true);
+        shim.strike(names[trial % 2], Fate::Vanish);
         let struck_ns = shim.struck_at(SOON);
         life.judge.watch_for(AFTERMATH);
         let stop = stopped(&life.judge.record, struck_ns);
@@ -218,7 +218,7 @@ fn a_panic_ends_a_process_whose_log_is_blocked_too() {
     let (reader, writer) = blocked_pipe();
     let mut life = Life::with(|command| shim.load(command).stderr(writer), |command| command);
     life.drive(0);
-    shim.strike("noctule-decide", false);
+    shim.strike("noctule-decide", Fate::Panic);
     let struck_ns = shim.struck_at(SOON);
     let (ended_ns, status) = life.daemon.ended_at(SOON);
     assert_eq!(status.code(), Some(70));

@@ -220,7 +220,18 @@ pub fn child_with(parent: u32, word: &str) -> Option<u32> {
     })
 }
 
-/// The library that lets a thread of the real processes panic or vanish, or shifts their wall clock.
+/// What a thread of a real process is to do at its next look at a clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fate {
+    /// Panic, in the standard library.
+    Panic = 0,
+    /// End without a word: no unwinding, nobody is told.
+    Vanish = 1,
+    /// Never come back.
+    Hang = 2,
+}
+
+/// The library that lets a thread of the real processes meet its [`Fate`], or shifts their wall clock.
 pub struct Shim {
     library: PathBuf,
     shared: PathBuf,
@@ -244,12 +255,12 @@ impl Shim {
         command.env("LD_PRELOAD", &self.library).env("NOCTULE_SHIM", &self.shared)
     }
 
-    /// Lets the next look at a clock of the thread of this name panic, or the thread end without a word.
-    pub fn strike(&self, thread: &str, vanish: bool) {
+    /// Strikes the thread of this name at its next look at a clock.
+    pub fn strike(&self, thread: &str, fate: Fate) {
         let mut name = [0; 16];
         let bytes = &thread.as_bytes()[..thread.len().min(15)];
         name[..bytes.len()].copy_from_slice(bytes);
-        self.file.write_all_at(&i64::from(vanish).to_ne_bytes(), 32).expect("written");
+        self.file.write_all_at(&(fate as i64).to_ne_bytes(), 32).expect("written");
         self.file.write_all_at(&0_u64.to_ne_bytes(), 16).expect("written");
         // The first byte last: it is what the thread looks at.
         self.file.write_all_at(&name[1..], 1).expect("written");

@@ -1,7 +1,7 @@
-/* Loaded before the C library into the real daemon and controller: lets one named thread panic or vanish, and shifts the wall clock.
+/* Loaded before the C library into the real daemon and controller: lets one named thread panic, vanish or hang, and shifts the wall clock.
  *
  * In: 40 bytes shared with the test: name of the thread (16), CLOCK_BOOTTIME of the fault (u64, out), shift of the wall clock in seconds
- * (i64), whether the thread is to vanish instead of panicking (i64). A thread panics because the standard library takes a clock or a
+ * (i64), what the thread is to do (i64): 0 panic, 1 vanish, 2 hang. A thread panics because the standard library takes a clock or a
  * sleep that fails for a broken system; it does so once. Never touches CLOCK_BOOTTIME, which the program reads without this library.
  */
 #define _GNU_SOURCE
@@ -20,7 +20,7 @@ struct shared {
     volatile char name[16];
     volatile uint64_t fired_ns;
     volatile int64_t wall_shift_s;
-    volatile int64_t vanish;
+    volatile int64_t fate;
 };
 
 static struct shared *shared;
@@ -43,7 +43,8 @@ static int meant(void) {
     shared->name[0] = 0;
     syscall(SYS_clock_gettime, CLOCK_BOOTTIME, &now);
     shared->fired_ns = (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
-    if (shared->vanish) syscall(SYS_exit, 0);
+    if (shared->fate == 1) syscall(SYS_exit, 0);
+    while (shared->fate == 2) pause();
     return 1;
 }
 

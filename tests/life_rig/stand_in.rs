@@ -1,10 +1,10 @@
-//! A daemon made of the daemon's own pieces with a source or a backend that fails on demand: this test program, started again.
+//! A daemon made of the daemon's own pieces with a source that fails on demand: this test program, started again.
 
 use crate::ipc_rig::Place;
 use noctule::config::Config;
 use noctule::imaging::Imager;
-use noctule::imaging::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput};
-use noctule::imaging::cpu::CpuBackend;
+use noctule::imaging::params::Prefer;
+use noctule::imaging::{Imager, ImagerOptions};
 use noctule::io::Ipc;
 use noctule::io::source::simulator::SimulatorSource;
 use noctule::io::source::{Delivery, Source, SourceError};
@@ -24,8 +24,6 @@ const FAULT: &str = "NOCTULE_STAND_IN_FAULT";
 /// What goes wrong once [`trigger`] exists.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
-    /// The deciding thread never comes back from imaging.
-    ParkedDecision,
     /// The acquiring thread never comes back from its source.
     ParkedSource,
     /// The source returns an error: the acquiring thread returns early.
@@ -34,12 +32,8 @@ pub enum Fault {
     SourceEnds,
 }
 
-const FAULTS: [(&str, Fault); 4] = [
-    ("parked_decision", Fault::ParkedDecision),
-    ("parked_source", Fault::ParkedSource),
-    ("source_fails", Fault::SourceFails),
-    ("source_ends", Fault::SourceEnds),
-];
+const FAULTS: [(&str, Fault); 3] =
+    [("parked_source", Fault::ParkedSource), ("source_fails", Fault::SourceFails), ("source_ends", Fault::SourceEnds)];
 
 /// The file whose appearance starts the fault.
 pub fn trigger(place: &Place) -> PathBuf {
@@ -81,12 +75,8 @@ fn run(path: &Path, fault: Fault, stop: &Stop) -> Result<(), ServiceError> {
     config.recording.format = SampleFormat::PcmF32;
     let setup = wiring::sensing(&config)?;
     let masks = wiring::masks(&config, &setup)?;
-    let cpu = || CpuBackend::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), Some(1)).expect("backend");
-    let report = BackendReport { kind: BackendKind::Gpu, ..cpu().report().clone() };
-    let parks = fault == Fault::ParkedDecision;
-    let backend = Faulty { cpu: cpu(), report, trigger: parks.then(|| trigger.clone()) };
-    let (plan, table) = (Arc::clone(&setup.plan), Arc::clone(masks.table()));
-    let imager = Imager::with_backends(plan, table, Some(Box::new(backend)), Some(1), "")?;
+    let options = ImagerOptions { threads: Some(1), ..ImagerOptions::default() };
+    let imager = Imager::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), Prefer::Cpu, options)?;
     let ipc = Ipc::open(&config.ipc)?;
     let open = |setup: &wiring::SensingSetup| -> Result<Box<dyn Source + Send>, ServiceError> {
         let params = SimParams { repeat_waypoints: true, ..SimParams::default() };
@@ -94,49 +84,7 @@ fn run(path: &Path, fault: Fault, stop: &Stop) -> Result<(), ServiceError> {
         let simulated = SimulatorSource::open(simulator, &ipc, config.control.rate_hz, setup.recording.duration_s())?;
         Ok(Box::new(FaultySource { simulated, fault, trigger }))
     };
-    service::drive(&config, Parts { setup: setup.clone(), masks: masks.clone(), imager }, &ipc, open, None, stop)
-}
-
-fn park() -> ! {
-    loop {
-        std::thread::park();
-    }
-}
-
-/// The CPU under the name of a GPU, so that the imager asks it first.
-struct Faulty {
-    cpu: CpuBackend,
-    report: BackendReport,
-    trigger: Option<PathBuf>,
-}
-
-impl Backend for Faulty {
-    fn image(&mut self, pings: &PingSet, image: &mut Image) -> Result<(), BackendError> {
-        if self.trigger.as_ref().is_some_and(|trigger| trigger.exists()) {
-            park();
-        }
-        self.cpu.image(pings, image)?;
-        image.backend = BackendKind::Gpu;
-        Ok(())
-    }
-
-    fn image_up_to(
-        &mut self,
-        stage: Stage,
-        pings: &PingSet,
-        sensor_index: usize,
-        image: &mut Image,
-    ) -> Result<StageOutput, BackendError> {
-        self.cpu.image_up_to(stage, pings, sensor_index, image)
-    }
-
-    fn stage_times_ns(&self) -> [u64; 5] {
-        self.cpu.stage_times_ns()
-    }
-
-    fn report(&self) -> &BackendReport {
-        &self.report
-    }
+    service::drive(&config, Parts { setup, masks, imager }, &ipc, open, None, stop)
 }
 
 struct FaultySource {
@@ -149,8 +97,9 @@ impl Source for FaultySource {
     fn next_ping_set(&mut self, pings: &mut PingSet, limit: Duration) -> Result<Delivery, SourceError> {
         if self.trigger.exists() {
             match self.fault {
-                Fault::ParkedDecision => {}
-                Fault::ParkedSource => park(),
+                Fault::ParkedSource => loop {
+                    std::thread::park();
+                },
                 Fault::SourceFails => return Err(SourceError::Other("planted".to_owned())),
                 Fault::SourceEnds => return Ok(Delivery::End),
             }
