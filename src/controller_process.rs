@@ -28,6 +28,8 @@ pub const TICK: Duration = Duration::from_millis(20);
 const LOOK_PAUSE: Duration = Duration::from_millis(1);
 /// Samples taken in one look: a flood must not keep the tick waiting.
 const LOOK_SAMPLES_MAX: usize = 32;
+/// Pause between two looks whether the topics' files are still there.
+const PROBE_PAUSE: Duration = Duration::from_secs(1);
 /// Zeros sent at the end, in case one is lost.
 const LAST_ZEROS: usize = 3;
 /// Ticks between two words to the service manager: half a second.
@@ -75,7 +77,7 @@ pub fn serve(config: &Config, arm: bool) -> u8 {
 /// Runs until `stop`; with `arm`, arms once, for the first live daemon, and never after a latch.
 ///
 /// # Errors
-/// [`IpcError`] when the topics cannot be opened. Once they are, only `stop` ends it.
+/// [`IpcError`] when the topics cannot be opened. Once they are, only `stop` ends it, or that somebody deletes their files.
 pub fn run(params: &ControllerParams, arm: bool, stop: &AtomicBool) -> Result<(), IpcError> {
     let ipc = Ipc::open(&params.ipc)?;
     let topics = ControllerTopics::open(&ipc)?;
@@ -96,9 +98,15 @@ pub fn run(params: &ControllerParams, arm: bool, stop: &AtomicBool) -> Result<()
         notifier,
     };
     let mut next = Instant::now();
-    while !stop.load(Ordering::Relaxed) {
+    let mut next_probe = next + PROBE_PAUSE;
+    let mut ended = Ok(());
+    while !stop.load(Ordering::Relaxed) && ended.is_ok() {
         controller.look();
         let now = Instant::now();
+        if now >= next_probe {
+            next_probe = now + PROBE_PAUSE;
+            ended = controller.topics.check_intact();
+        }
         if now < next {
             std::thread::sleep(LOOK_PAUSE.min(next - now));
             continue;
@@ -111,7 +119,7 @@ pub fn run(params: &ControllerParams, arm: bool, stop: &AtomicBool) -> Result<()
         }
     }
     controller.say_goodbye();
-    Ok(())
+    ended
 }
 
 /// How far arming on request of the command line has come.

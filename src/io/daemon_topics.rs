@@ -4,7 +4,7 @@
 //! nothing here allocates, and no call waits. Dropping it removes what it made.
 
 use super::error::IpcError;
-use super::node::{Ipc, Registration};
+use super::node::{Ipc, Needs, Registration};
 use super::root::DaemonLock;
 use super::session::{FixedPublisher, FixedSubscriber, SlicePublisher};
 use super::topics::Topic;
@@ -22,7 +22,7 @@ const SPARE_BYTES: u64 = 4 * 1024 * 1024;
 pub struct DaemonTopics {
     ports: Ports,
     command: Arc<CommandPort>,
-    _registration: Registration,
+    registration: Registration,
     lock: DaemonLock,
 }
 
@@ -93,13 +93,19 @@ impl DaemonTopics {
     /// Shared memory that [`DaemonTopics::open`] needs, in bytes.
     #[must_use]
     pub fn needed_bytes(sensors: &[String], cell_counts: &[usize]) -> u64 {
-        let images: u64 = sensors
-            .iter()
-            .zip(cell_counts)
-            .map(|(sensor, &cell_count)| Topic::energyscape(sensor).publisher_bytes(cell_count))
-            .sum();
-        let reports = [Topic::cues(), Topic::command(), Topic::health()];
-        images + reports.iter().map(|topic| topic.publisher_bytes(1)).sum::<u64>() + SPARE_BYTES
+        Self::needs(sensors, cell_counts).bytes()
+    }
+
+    fn needs(sensors: &[String], cell_counts: &[usize]) -> Needs {
+        let mut needs = Needs::new().spare(SPARE_BYTES);
+        for (sensor, &cell_count) in sensors.iter().zip(cell_counts) {
+            needs = needs.publisher(&Topic::energyscape(sensor), cell_count);
+        }
+        for topic in [Topic::cues(), Topic::command(), Topic::health()] {
+            needs = needs.publisher(&topic, 1);
+        }
+        let heard = [Topic::input(), Topic::operator(), Topic::odometry(), Topic::platform()];
+        heard.iter().fold(needs, Needs::subscriber)
     }
 
     /// Opens everything, for sensors named `sensors` whose energyscapes have `cell_counts` cells.
@@ -108,10 +114,10 @@ impl DaemonTopics {
     /// [`IpcError`]: 69 another daemon or commander, 73 too little shared memory, 75 stuck, 77 not ours.
     pub fn open(ipc: &Ipc, sensors: &[String], cell_counts: &[usize]) -> Result<Self, IpcError> {
         let lock = ipc.lock_daemon()?;
-        ipc.check_space(Self::needed_bytes(sensors, cell_counts))?;
+        let needs = Self::needs(sensors, cell_counts);
         let images: Vec<(Topic, usize)> =
             sensors.iter().zip(cell_counts).map(|(sensor, &count)| (Topic::energyscape(sensor), count)).collect();
-        let (registration, (port, ports)) = ipc.set_up("noctule-daemon", move |session| {
+        let (registration, (port, ports)) = ipc.set_up("noctule-daemon", needs, move |session| {
             // First, so that a second commander is refused before anything else is there.
             let command = session.publisher(&Topic::command())?;
             let ports = Ports {
@@ -128,10 +134,9 @@ impl DaemonTopics {
             };
             Ok((command, ports))
         })?;
-        ipc.reserve_memory()?;
         let (epoch, publisher_id) = (fresh_id(), fresh_id());
         let command = Arc::new(CommandPort { port, epoch, publisher_id, said: Mutex::default() });
-        Ok(Self { ports, command, _registration: registration, lock })
+        Ok(Self { ports, command, registration, lock })
     }
 
     /// Random number of this start of the daemon: what an arm request must carry.
@@ -146,10 +151,10 @@ impl DaemonTopics {
         LastWord(Arc::clone(&self.command))
     }
 
-    /// Whether the root is still the one that was opened. False means that somebody removed it under us: stop, exit 75.
+    /// Whether root and shared memory still hold what was opened. False means that somebody removed it under us: stop, exit 75.
     #[must_use]
     pub fn is_intact(&self) -> bool {
-        self.lock.is_ours()
+        self.lock.is_ours() && self.registration.lost().is_none()
     }
 
     /// Publishes a sensor's energyscape, written straight into shared memory.

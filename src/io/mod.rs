@@ -4,7 +4,8 @@
 //! |---|---|
 //! | [`topics`] | names, layouts and depths of all topics |
 //! | [`wire`] | the types on them |
-//! | [`node`], `session`, `root` | root directory, locks, set-up, ports |
+//! | [`node`], `session` | set-up, ports |
+//! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`source`] | where ping sets come from |
@@ -22,6 +23,7 @@ pub mod picture;
 pub mod plot;
 pub mod plot_layouts;
 mod polar;
+mod probe;
 pub mod raw_topics;
 pub mod recording_file;
 mod root;

@@ -2,7 +2,6 @@
 
 use crate::ipc_rig::Place;
 use noctule::config::Config;
-use noctule::imaging::Imager;
 use noctule::imaging::params::Prefer;
 use noctule::imaging::{Imager, ImagerOptions};
 use noctule::io::Ipc;
