@@ -111,7 +111,10 @@ fn a_service_of_another_build_is_refused_by_daemon_and_controller_in_one_line_ea
     let mut check = |place: &Place, what: &str, found: &str| {
         for program in &mut programs(place) {
             let (line, took) = refused(program, what);
-            assert!(line.contains(&format!("{:016x}", VelocityCommand::SCHEMA_HASH)), "{what}: what is expected: {line}");
+            assert!(
+                line.contains(&format!("{:016x}", VelocityCommand::SCHEMA_HASH)),
+                "{what}: what is expected: {line}"
+            );
             assert!(line.contains(found), "{what}: what is found, {found}: {line}");
             assert!(line.contains(&std::process::id().to_string()), "{what}: by whom: {line}");
             worst = worst.max(took);
@@ -134,7 +137,13 @@ fn a_service_of_another_build_is_refused_by_daemon_and_controller_in_one_line_ea
         let _held = hold::<NextVersion>(&place, SOUND);
         check(&place, "next version", "VelocityCommand.v2");
     }
-    checks::figure(31, "starts beside another build", format!("all 69, worst {} ms", worst.as_millis()), "<= 2 s", trials);
+    checks::figure(
+        31,
+        "starts beside another build",
+        format!("all 69, worst {} ms", worst.as_millis()),
+        "<= 2 s",
+        trials,
+    );
     assert!(worst <= LIMIT, "{worst:?}");
 }
 
@@ -218,7 +227,13 @@ fn a_hostile_publisher_moves_nothing_before_and_after_the_daemons_start() {
         base.listen_for(Duration::from_millis(10), || ());
     }
     let moved = base.heard.iter().filter(|sample| moves(sample)).count();
-    checks::figure(19, "second commanders refused by the transport", format!("{refusals} of {trials}"), "100 %", trials);
+    checks::figure(
+        19,
+        "second commanders refused by the transport",
+        format!("{refusals} of {trials}"),
+        "100 %",
+        trials,
+    );
     checks::figure(19, "outputs that moved", moved, "0", base.heard.len());
     assert_eq!((refusals, moved), (trials, 0));
     assert!(is(base.heard.last().expect("heard"), GateState::Latched), "another epoch latches");

@@ -47,6 +47,8 @@ pub enum Command {
     Stop(OperatorArguments),
     /// Ask the daemon to leave its latched fault and test itself again.
     Reset(OperatorArguments),
+    /// Remove what stopped processes left in shared memory; after exit code 75 this is the supervisor's.
+    Wipe(OperatorArguments),
     /// Image recordings into NumPy files.
     Process(ProcessArguments),
     /// Drive simulated robots through a world and score them; rank sensor layouts.
@@ -158,7 +160,7 @@ pub struct ControllerArguments {
     pub arm: bool,
 }
 
-/// `arm`, `stop`, `reset`.
+/// `arm`, `stop`, `reset`, `wipe`.
 #[derive(Debug, Args)]
 pub struct OperatorArguments {
     #[command(flatten)]

@@ -12,6 +12,7 @@ use super::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, Velocit
 use super::wire::telemetry::{Cues, Health, PlatformVelocity};
 use super::{fresh_id, wire::WireType};
 use crate::time::Stamp;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Room for the small topics' management files and for the connections of late subscribers.
 const SPARE_BYTES: u64 = 4 * 1024 * 1024;
@@ -20,18 +21,67 @@ const SPARE_BYTES: u64 = 4 * 1024 * 1024;
 #[derive(Debug)]
 pub struct DaemonTopics {
     ports: Ports,
-    epoch: u64,
-    publisher_id: u64,
-    sequence: u64,
+    command: Arc<CommandPort>,
     registration: Registration,
     lock: DaemonLock,
+}
+
+/// Where commands leave, one after the other, whichever thread speaks. The lock is held for one sending, some microseconds.
+#[derive(Debug)]
+struct CommandPort {
+    port: FixedPublisher<VelocityCommand>,
+    epoch: u64,
+    publisher_id: u64,
+    said: Mutex<Said>,
+}
+
+#[derive(Debug, Default)]
+struct Said {
+    sequence: u64,
+    /// The last word was spoken: nothing but zero leaves from now on.
+    over: bool,
+}
+
+impl CommandPort {
+    fn publish(&self, command: VelocityCommand, now: Stamp, last: bool) -> Result<u64, IpcError> {
+        let mut said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        said.over |= last;
+        let stands = command.linear_m_s == 0.0 && command.angular_rad_s == 0.0;
+        if said.over && !stands {
+            return Ok(said.sequence);
+        }
+        said.sequence += 1;
+        let command = VelocityCommand {
+            schema_hash: VelocityCommand::SCHEMA_HASH,
+            epoch: self.epoch,
+            publisher_id: self.publisher_id,
+            sequence: said.sequence,
+            t_published_ns: now.boottime_ns,
+            ..command
+        };
+        self.port.send(command.sealed())?;
+        Ok(said.sequence)
+    }
+}
+
+/// A second hand on the commands, for whoever watches the thread that publishes them.
+#[derive(Debug, Clone)]
+pub struct LastWord(Arc<CommandPort>);
+
+impl LastWord {
+    /// Publishes `command`; afterwards nothing but zero is published, whoever tries.
+    ///
+    /// # Errors
+    /// [`IpcError::Send`].
+    pub fn say(&self, command: VelocityCommand, now: Stamp) -> Result<u64, IpcError> {
+        self.0.publish(command, now, true)
+    }
 }
 
 #[derive(Debug)]
 struct Ports {
     energyscapes: Vec<SlicePublisher<f32, EnergyscapeHeader>>,
     cues: FixedPublisher<Cues>,
-    command: FixedPublisher<VelocityCommand>,
     health: FixedPublisher<Health>,
     input: FixedSubscriber<VelocityInput>,
     operator: FixedSubscriber<OperatorRequest>,
@@ -67,10 +117,10 @@ impl DaemonTopics {
         let needs = Self::needs(sensors, cell_counts);
         let images: Vec<(Topic, usize)> =
             sensors.iter().zip(cell_counts).map(|(sensor, &count)| (Topic::energyscape(sensor), count)).collect();
-        let (registration, ports) = ipc.set_up("noctule-daemon", needs, move |session| {
-            Ok(Ports {
-                // First, so that a second commander is refused before anything else is there.
-                command: session.publisher(&Topic::command())?,
+        let (registration, (port, ports)) = ipc.set_up("noctule-daemon", needs, move |session| {
+            // First, so that a second commander is refused before anything else is there.
+            let command = session.publisher(&Topic::command())?;
+            let ports = Ports {
                 energyscapes: images
                     .iter()
                     .map(|(topic, cell_count)| session.slice_publisher(topic, *cell_count))
@@ -81,15 +131,24 @@ impl DaemonTopics {
                 operator: session.subscriber(&Topic::operator())?,
                 odometry: session.subscriber(&Topic::odometry())?,
                 platform: session.subscriber(&Topic::platform())?,
-            })
+            };
+            Ok((command, ports))
         })?;
-        Ok(Self { ports, epoch: fresh_id(), publisher_id: fresh_id(), sequence: 0, registration, lock })
+        let (epoch, publisher_id) = (fresh_id(), fresh_id());
+        let command = Arc::new(CommandPort { port, epoch, publisher_id, said: Mutex::default() });
+        Ok(Self { ports, command, registration, lock })
     }
 
     /// Random number of this start of the daemon: what an arm request must carry.
     #[must_use]
     pub fn epoch(&self) -> u64 {
-        self.epoch
+        self.command.epoch
+    }
+
+    /// A second hand on the commands.
+    #[must_use]
+    pub fn last_word(&self) -> LastWord {
+        LastWord(Arc::clone(&self.command))
     }
 
     /// Whether root and shared memory still hold what was opened. False means that somebody removed it under us: stop, exit 75.
@@ -139,17 +198,7 @@ impl DaemonTopics {
     /// # Errors
     /// [`IpcError::Send`].
     pub fn publish_command(&mut self, command: VelocityCommand, now: Stamp) -> Result<u64, IpcError> {
-        self.sequence += 1;
-        let command = VelocityCommand {
-            schema_hash: VelocityCommand::SCHEMA_HASH,
-            epoch: self.epoch,
-            publisher_id: self.publisher_id,
-            sequence: self.sequence,
-            t_published_ns: now.boottime_ns,
-            ..command
-        };
-        self.ports.command.send(command.sealed())?;
-        Ok(self.sequence)
+        self.command.publish(command, now, false)
     }
 
     /// Publishes health, with this daemon's epoch.
@@ -157,7 +206,7 @@ impl DaemonTopics {
     /// # Errors
     /// [`IpcError::Send`].
     pub fn publish_health(&self, health: Health) -> Result<(), IpcError> {
-        self.ports.health.send(Health { epoch: self.epoch, ..health })
+        self.ports.health.send(Health { epoch: self.command.epoch, ..health })
     }
 
     /// The newest wanted velocity of all senders that arrived since the last call; judge it by [`VelocityInput::wanted`].

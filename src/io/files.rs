@@ -214,7 +214,8 @@ mod tests {
         std::fs::create_dir_all(root.join("services")).expect("made");
         prepare(&root).expect("private");
         let shared = Path::new(SHARED_MEMORY).join(format!("{}{HASH}_5.data", params.prefix));
-        let doomed = [ours("nodes", "77.node_monitor"), ours("nodes/77", "x.tag"), ours("services", "a.service"), shared];
+        let doomed =
+            [ours("nodes", "77.node_monitor"), ours("nodes/77", "x.tag"), ours("services", "a.service"), shared];
         for path in doomed.iter().chain([&theirs, &unrelated]) {
             std::fs::write(path, "x").expect("written");
         }

@@ -35,7 +35,7 @@ pub mod wire;
 
 pub use canvas::encode_png;
 pub use clients::{ControllerTopics, InputPublisher, OperatorClient, PlatformSubscriber};
-pub use daemon_topics::DaemonTopics;
+pub use daemon_topics::{DaemonTopics, LastWord};
 pub use echo::{Echo, EchoLimit};
 pub use error::IpcError;
 pub use files::wipe;

@@ -174,7 +174,8 @@ impl Ipc {
         let ipc = self.clone();
         let worker = std::thread::Builder::new().name(format!("{node_name} set-up"));
         let run = move || {
-            let _ = sender.send(ipc.set_up_here(node_name, make));
+            // A transport that panics over a spoilt file is a stuck one: whoever waits says so.
+            let _ = sender.send(crate::life::panic::contained(|| ipc.set_up_here(node_name, make)));
         };
         worker.spawn(run).map_err(|error| IpcError::Internal(error.to_string()))?;
         match receiver.recv_timeout(SETUP_LIMIT) {

@@ -12,8 +12,8 @@ use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
 use iceoryx2::port::update_connections::UpdateConnections as _;
 use iceoryx2::prelude::{
-    AllocationStrategy, AttributeVerifier, BackpressureStrategy, CallbackProgression, Config, MessagingPattern, Node, NodeState,
-    PortFactory as _, Service, ServiceName, ZeroCopySend,
+    AllocationStrategy, AttributeVerifier, BackpressureStrategy, CallbackProgression, Config, MessagingPattern, Node,
+    NodeState, PortFactory as _, Service, ServiceName, ZeroCopySend,
 };
 use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
@@ -160,7 +160,8 @@ impl<'a> Session<'a> {
     /// Takes away the file that announces a service, unless a living process uses it. It may be half written, or announce
     /// what is gone: the transport waits a second for it at each opening, and does not remove it when asked to.
     fn take_away_unused(&self, name: &ServiceName) {
-        let hash = ServiceHash::new::<<Transport as Service>::ServiceNameHasher>(name, MessagingPattern::PublishSubscribe);
+        let hash =
+            ServiceHash::new::<<Transport as Service>::ServiceNameHasher>(name, MessagingPattern::PublishSubscribe);
         let mut used = false;
         let listed = Node::<Transport>::list(self.config, |state| {
             if matches!(&state, NodeState::Alive(_) | NodeState::Inaccessible(_)) {
