@@ -14,6 +14,7 @@ mod output;
 mod process;
 mod run;
 mod simulate;
+mod soak;
 mod topics;
 
 pub use args::{Arguments, Command};
@@ -137,6 +138,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Reset(arguments) => run::operator(&arguments, run::Request::Reset),
         Command::Process(arguments) => process::process(&arguments),
         Command::Simulate(arguments) => simulate::simulate(&arguments),
+        Command::Soak(arguments) => soak::soak_command(&arguments),
         Command::Masks(arguments) => masks::masks(&arguments),
         Command::Bench(arguments) => bench::bench(&arguments),
         Command::Topics(arguments) => topics::topics(&arguments),
