@@ -3,6 +3,9 @@
 //! Ages are always differences of `boottime_ns` (CLOCK_BOOTTIME, which goes on counting in suspend); the wall clock
 //! is carried for people and recordings and is never compared.
 
+/// A stamp this far ahead of now is a broken clock, not an early ping.
+pub const FUTURE_LIMIT_NS: u64 = 50_000_000;
+
 /// A moment, on the clock that ages are judged by and on the wall clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, PartialOrd, Ord)]
 pub struct Stamp {
@@ -19,10 +22,10 @@ impl Stamp {
         self.boottime_ns.wrapping_sub(earlier.boottime_ns).cast_signed()
     }
 
-    /// The stamp `delta_ns` later on both clocks.
+    /// The stamp `delta_ns` later on both clocks; round the end of the number line, as [`Stamp::since_ns`] counts.
     #[must_use]
     pub fn plus_ns(self, delta_ns: u64) -> Stamp {
-        Stamp { boottime_ns: self.boottime_ns + delta_ns, wall_ns: self.wall_ns + delta_ns }
+        Stamp { boottime_ns: self.boottime_ns.wrapping_add(delta_ns), wall_ns: self.wall_ns.wrapping_add(delta_ns) }
     }
 }
 

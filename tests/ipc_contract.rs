@@ -281,16 +281,16 @@ fn raw_pings_travel_in_every_format_and_what_does_not_fit_is_refused() {
         let ping = RawPing { sensor_index: 0, sequence: 9, emitted_at, samples: samples.into() };
         let mut received = RawPing { samples: Samples::zeros(format, shape.len()).into(), ..ping.clone() };
         received.sequence = 0;
-        assert!(live.poll(0, &mut received).is_none());
+        assert!(live.poll(0, &mut received, SystemClock.now()).is_none());
         driver.publish(&ping).expect("sent");
-        assert_eq!(live.poll(0, &mut received), Some(Ok(())));
+        assert_eq!(live.poll(0, &mut received, SystemClock.now()), Some(Ok(())));
         assert_eq!(received, ping);
 
         driver.publish(&RawPing { sensor_index: 1, ..ping.clone() }).expect("sent");
-        let refusal = live.poll(0, &mut received).expect("arrived").expect_err("refused");
+        let refusal = live.poll(0, &mut received, SystemClock.now()).expect("arrived").expect_err("refused");
         assert_eq!(refusal, RawRefusal::Header { field: "sensor_index", found: 1.0, allowed: 0.0 });
         driver.publish(&RawPing { samples: Samples::zeros(format, 5).into(), ..ping.clone() }).expect("sent");
-        let refusal = live.poll(0, &mut received).expect("arrived").expect_err("refused");
+        let refusal = live.poll(0, &mut received, SystemClock.now()).expect("arrived").expect_err("refused");
         assert_eq!(refusal, RawRefusal::Length { found: 5, allowed: shape.len() });
         assert_eq!(received, ping, "unchanged by what was refused");
         assert!(driver.publish(&RawPing { samples: Samples::zeros(format, shape.len() + 1).into(), ..ping }).is_err());

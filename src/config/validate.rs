@@ -3,8 +3,8 @@
 //! Goes in: a [`Config`] and the files it names. Comes out: the first error as a dotted key, or warnings. Changes nothing.
 
 use super::{CONFIG_VERSION, Config, zone};
-use crate::imaging::params::ImagingParams;
-use crate::parameter::{ParameterError, check_positive, check_range};
+use crate::imaging::params::{ImagingParams, RANGE_STEP_M, SMOOTHING_MIN_HZ};
+use crate::parameter::{ParameterError, check_range};
 use crate::sensor::{Emission, RecordingFormat, SensorSetup, air};
 use crate::signal::{SENSORS_MAX, SampleFormat};
 
@@ -16,8 +16,6 @@ const OBSTRUCTIONS_MAX: usize = 64;
 const CELLS_MAX: f64 = 16_777_216.0;
 /// Share of the band that each edge of the matched filter's passband takes.
 const PASSBAND_EDGE: f64 = 0.1;
-/// Finest range step.
-const RANGE_STEP_MIN_M: f64 = 1e-4;
 
 pub(super) fn validate(config: &Config) -> Result<(), ParameterError> {
     if config.config_version != CONFIG_VERSION {
@@ -103,14 +101,14 @@ fn check_imaging(config: &Config, recording: &RecordingFormat, emission: &Emissi
         return Err(ParameterError::new("imaging.range_max_m", range_max_m, allowed));
     }
     if let Some(step_m) = range_step_m {
-        check_range("imaging.range_step_m", step_m, RANGE_STEP_MIN_M, 1.0)?;
+        check_range("imaging.range_step_m", step_m, *RANGE_STEP_M.start(), *RANGE_STEP_M.end())?;
         if !(step_m <= range_max_m - range_min_m) {
             let allowed = format!("at most {:.3} m, the whole of the ranges", range_max_m - range_min_m);
             return Err(ParameterError::new("imaging.range_step_m", step_m, allowed));
         }
     }
     if let Some(cutoff_hz) = smoothing_hz {
-        check_positive("imaging.smoothing_hz", cutoff_hz, 0.5 * recording.demodulated_rate_hz())?;
+        check_range("imaging.smoothing_hz", cutoff_hz, SMOOTHING_MIN_HZ, 0.5 * recording.demodulated_rate_hz())?;
     }
     let direction_count = config.directions()?.len() as f64;
     let range_count = (range_max_m - range_min_m) / range_step_m.unwrap_or_else(|| fine_step_m(config, emission));

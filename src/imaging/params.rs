@@ -48,6 +48,11 @@ impl Default for DirectionsParams {
     }
 }
 
+/// Range steps that images can have.
+pub const RANGE_STEP_M: std::ops::RangeInclusive<f64> = 1e-4..=0.5;
+/// Lowest cut-off of the smoothing low-pass.
+pub const SMOOTHING_MIN_HZ: f64 = 10.0;
+
 /// `[imaging]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

@@ -12,9 +12,9 @@
 //! 5. folded into M bins (index k mod M: sampling every T / M aliases nothing else, since only those instants are asked
 //!    for) and transformed back: the analytic signal at t_0 + i T / M, whose magnitude is the envelope, with T = N / fs.
 
-use super::params::{ImagingParams, Weighting};
+use super::params::{ImagingParams, RANGE_STEP_M, SMOOTHING_MIN_HZ, Weighting};
 use super::steering;
-use crate::parameter::{ParameterError, check_positive, check_range};
+use crate::parameter::{ParameterError, check_range};
 use crate::sensor::{Emission, RecordingFormat, SensorSetup};
 use crate::signal::{Direction, PolarGrid, SENSORS_MAX, SampleFormat};
 use std::f64::consts::PI;
@@ -37,8 +37,10 @@ const RINGING_CYCLES: f64 = 100.0;
 const CLIP_GRACE_S: f64 = 2e-3;
 /// Default for the largest range step.
 const RANGE_STEP_DEFAULT_M: f64 = 5e-3;
-/// Most demodulated samples of a ping, most range bins, most cells: what memory and a GPU's buffers can carry.
+/// Most demodulated samples of a ping, most of them with the passband's ringing behind, most range bins, most cells: what
+/// memory and a GPU's buffers can carry.
 const SAMPLES_MAX: usize = 1 << 20;
+const SPAN_MAX: f64 = 4_194_304.0;
 const RANGES_MAX: usize = 1 << 16;
 const CELLS_MAX: usize = 1 << 24;
 /// Most channels of a sensor; a PDM word has 32 bits.
@@ -160,8 +162,7 @@ impl ImagingPlan {
             .collect();
         let steer_s = delays.iter().flat_map(|table| table.iter()).fold(0.0, |most: f64, delay| most.max(delay.abs()));
         let last_s = 2.0 * params.range_max_m / speed_of_sound_m_s + steer_s;
-        let ringing_s = RINGING_CYCLES / (band.high_hz - band.low_hz);
-        let used = ((last_s + ringing_s) * rate_hz + smoothing_half).ceil() as usize + emission.samples.len();
+        let used = checked_span(last_s * rate_hz + smoothing_half, rate_hz, &band)? + emission.samples.len();
         let wanted = sizes::Wanted {
             sample_rate_hz: rate_hz,
             width_hz: band.width_hz(),
@@ -303,12 +304,22 @@ fn checked_step(
     }
     let finest_m = speed_of_sound_m_s / (2.4 * (band.high_hz - band.low_hz));
     let step_m = params.range_step_m.unwrap_or(RANGE_STEP_DEFAULT_M.min(finest_m));
-    check_range("imaging.range_step_m", step_m, 1e-4, 0.5)?;
+    check_range("imaging.range_step_m", step_m, *RANGE_STEP_M.start(), *RANGE_STEP_M.end())?;
     if let Some(cutoff_hz) = params.smoothing_hz {
-        check_positive("imaging.smoothing_hz", cutoff_hz, speed_of_sound_m_s / (4.0 * step_m))?;
-        check_range("imaging.smoothing_hz", cutoff_hz, 10.0, f64::MAX)?;
+        check_range("imaging.smoothing_hz", cutoff_hz, SMOOTHING_MIN_HZ, speed_of_sound_m_s / (4.0 * step_m))?;
     }
     Ok(step_m)
+}
+
+/// Samples until the last range has been heard and what wraps around has rung out.
+fn checked_span(heard: f64, rate_hz: f64, band: &Band) -> Result<usize, ParameterError> {
+    let width_hz = band.high_hz - band.low_hz;
+    let used = heard + RINGING_CYCLES / width_hz * rate_hz;
+    if !(used <= SPAN_MAX) {
+        let allowed = format!("a band of at least {:.0} Hz", (RINGING_CYCLES * rate_hz / SPAN_MAX).ceil());
+        return Err(ParameterError::new("emission.end_hz", format!("a band of {width_hz} Hz"), allowed));
+    }
+    Ok(used.ceil() as usize)
 }
 
 fn make_grid(params: &ImagingParams, directions: Vec<Direction>, step_m: f64) -> Result<PolarGrid, ParameterError> {

@@ -10,7 +10,10 @@ use super::topics::Topic;
 use super::wire::message::{RawHeader, format_number};
 use super::wire::{HEADER_VERSION, WireType};
 use crate::signal::{RawPing, SampleFormat, Samples};
-use crate::time::Stamp;
+use crate::time::{FUTURE_LIMIT_NS, Stamp};
+
+/// Oldest emission of a ping on arrival: no timeout of the daemon is longer.
+const AGE_MAX_NS: i64 = 1_000_000_000;
 
 /// One port a sample format.
 #[derive(Debug)]
@@ -51,6 +54,43 @@ impl RawShape {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// Judges what a driver says of a ping of sensor `sensor_index` that has `value_count` values and arrived at `now`.
+    ///
+    /// # Errors
+    /// The first thing that does not fit.
+    pub fn check(
+        &self,
+        sensor_index: usize,
+        header: &RawHeader,
+        value_count: usize,
+        now: Stamp,
+    ) -> Result<(), RawRefusal> {
+        if !header.schema_matches() {
+            return Err(RawRefusal::Schema { found: header.schema_hash });
+        }
+        let numbers = [
+            ("version", f64::from(header.version), f64::from(HEADER_VERSION)),
+            ("sensor_index", f64::from(header.sensor_index), sensor_index as f64),
+            ("format", f64::from(header.format), f64::from(format_number(self.format))),
+            ("channel_count", f64::from(header.channel_count), self.channel_count as f64),
+            ("sample_count", f64::from(header.sample_count), self.sample_count as f64),
+            ("sample_rate_hz", header.sample_rate_hz, self.sample_rate_hz),
+        ];
+        for (field, found, allowed) in numbers {
+            if found != allowed {
+                return Err(RawRefusal::Header { field, found, allowed });
+            }
+        }
+        let age_ns = now.since_ns(Stamp { boottime_ns: header.t_monotonic_ns, wall_ns: 0 });
+        if !(-FUTURE_LIMIT_NS.cast_signed()..=AGE_MAX_NS).contains(&age_ns) {
+            return Err(RawRefusal::Age { found_ms: age_ns / 1_000_000 });
+        }
+        if value_count != self.len() {
+            return Err(RawRefusal::Length { found: value_count, allowed: self.len() });
+        }
+        Ok(())
     }
 }
 
@@ -129,6 +169,17 @@ pub enum RawRefusal {
         /// Allowed.
         allowed: f64,
     },
+    /// The emission lies in the future, or so long ago that the driver's clock must be another: its pings would push
+    /// those of the other sensors out of their sets.
+    #[error(
+        "t_monotonic_ns is {found_ms} ms ago, allowed: {} ms ahead to {} ms ago on CLOCK_BOOTTIME",
+        FUTURE_LIMIT_NS / 1_000_000,
+        AGE_MAX_NS / 1_000_000
+    )]
+    Age {
+        /// Age on arrival, negative for the future.
+        found_ms: i64,
+    },
     /// Length of the payload.
     #[error("{found} values, the configuration says {allowed}")]
     Length {
@@ -160,22 +211,22 @@ impl LiveTopics {
     }
 
     /// Copies the next ping of a sensor into `ping`, whose buffer must have the configured format and length. `None` when
-    /// nothing waits; to be called until then.
+    /// nothing waits; to be called until then. `now` is what the ping's stamp is judged by.
     ///
     /// # Errors
     /// [`RawRefusal`]; `ping` is then unchanged.
-    pub fn poll(&self, sensor_index: usize, ping: &mut RawPing) -> Option<Result<(), RawRefusal>> {
+    pub fn poll(&self, sensor_index: usize, ping: &mut RawPing, now: Stamp) -> Option<Result<(), RawRefusal>> {
         let (port, shape) = self.sensors.get(sensor_index)?;
         match (port, ping.samples_mut()) {
-            (RawPort::Pdm(port), Samples::Pdm(into)) => {
-                port.next(|header, from| take(sensor_index, shape, header, from, into)).map(|taken| stamp(ping, taken))
-            }
-            (RawPort::PcmI16(port), Samples::PcmI16(into)) => {
-                port.next(|header, from| take(sensor_index, shape, header, from, into)).map(|taken| stamp(ping, taken))
-            }
-            (RawPort::PcmF32(port), Samples::PcmF32(into)) => {
-                port.next(|header, from| take(sensor_index, shape, header, from, into)).map(|taken| stamp(ping, taken))
-            }
+            (RawPort::Pdm(port), Samples::Pdm(into)) => port
+                .next(|header, from| take(sensor_index, shape, header, from, into, now))
+                .map(|taken| stamp(ping, taken)),
+            (RawPort::PcmI16(port), Samples::PcmI16(into)) => port
+                .next(|header, from| take(sensor_index, shape, header, from, into, now))
+                .map(|taken| stamp(ping, taken)),
+            (RawPort::PcmF32(port), Samples::PcmF32(into)) => port
+                .next(|header, from| take(sensor_index, shape, header, from, into, now))
+                .map(|taken| stamp(ping, taken)),
             _ => Some(Err(RawRefusal::Length { found: 0, allowed: shape.len() })),
         }
     }
@@ -190,31 +241,17 @@ fn receiving(session: &Session, name: &str, shape: &RawShape) -> Result<Receivin
     })
 }
 
-/// Checks a ping against its shape and copies its samples.
+/// Copies the samples of a ping that fits its shape.
 fn take<E: Copy>(
     sensor_index: usize,
     shape: &RawShape,
     header: &RawHeader,
     from: &[E],
     into: &mut [E],
+    now: Stamp,
 ) -> Result<RawHeader, RawRefusal> {
-    if !header.schema_matches() {
-        return Err(RawRefusal::Schema { found: header.schema_hash });
-    }
-    let numbers = [
-        ("version", f64::from(header.version), f64::from(HEADER_VERSION)),
-        ("sensor_index", f64::from(header.sensor_index), sensor_index as f64),
-        ("format", f64::from(header.format), f64::from(format_number(shape.format))),
-        ("channel_count", f64::from(header.channel_count), shape.channel_count as f64),
-        ("sample_count", f64::from(header.sample_count), shape.sample_count as f64),
-        ("sample_rate_hz", header.sample_rate_hz, shape.sample_rate_hz),
-    ];
-    for (field, found, allowed) in numbers {
-        if found != allowed {
-            return Err(RawRefusal::Header { field, found, allowed });
-        }
-    }
-    if from.len() != shape.len() || into.len() != shape.len() {
+    shape.check(sensor_index, header, from.len(), now)?;
+    if into.len() != from.len() {
         return Err(RawRefusal::Length { found: from.len(), allowed: into.len() });
     }
     into.copy_from_slice(from);

@@ -61,10 +61,10 @@ pub struct RecordingShape {
     pub ping_count: usize,
 }
 
-/// An open recording.
-pub struct RecordingFile {
+/// An open recording: a file, or whatever else gives its bytes.
+pub struct RecordingFile<R = BufReader<File>> {
     path: PathBuf,
-    reader: BufReader<File>,
+    reader: R,
     shape: RecordingShape,
     pings_read: usize,
     bytes: Vec<u8>,
@@ -77,16 +77,26 @@ impl RecordingFile {
     /// [`RecordingError`] when the file cannot be read, its name ends in neither `.npy` nor `.bin`, or it holds no ping.
     pub fn open(path: &Path, words_per_ping: usize) -> Result<Self, RecordingError> {
         let io = |error| RecordingError::Io { path: path.to_owned(), error };
-        let file = File::open(path).map_err(io)?;
-        let metadata = file.metadata().map_err(io)?;
+        // Asked before opening: to open a pipe would wait for its other end.
+        let metadata = std::fs::metadata(path).map_err(io)?;
         if !metadata.is_file() {
             return Err(content(path, "no regular file", "a .npy or .bin file"));
         }
-        let mut reader = BufReader::with_capacity(1 << 16, file);
+        let file = File::open(path).map_err(io)?;
+        Self::from_reader(path, BufReader::with_capacity(1 << 16, file), metadata.len(), words_per_ping)
+    }
+}
+
+impl<R: Read> RecordingFile<R> {
+    /// As [`RecordingFile::open`], for the `length` bytes that `reader` gives; of `path` only the name is looked at.
+    ///
+    /// # Errors
+    /// As [`RecordingFile::open`].
+    pub fn from_reader(path: &Path, mut reader: R, length: u64, words_per_ping: usize) -> Result<Self, RecordingError> {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
         let shape = match extension.as_deref() {
             Some("npy") => npy_shape(path, &mut reader)?,
-            Some("bin") => bin_shape(path, metadata.len(), words_per_ping)?,
+            Some("bin") => bin_shape(path, length, words_per_ping)?,
             Some("mcap") => {
                 return Err(content(path, "an MCAP recording", "a .npy or .bin file (MCAP is not read yet)"));
             }
@@ -97,7 +107,7 @@ impl RecordingFile {
             return Err(content(path, format!("pings of {ping_bytes} bytes"), format!("1 to {PING_BYTES_MAX} bytes")));
         }
         // Never more memory than the file has bytes: a header may claim anything.
-        let bytes = vec![0; ping_bytes.min(metadata.len()) as usize];
+        let bytes = vec![0; ping_bytes.min(length) as usize];
         Ok(Self { path: path.to_owned(), reader, shape, pings_read: 0, bytes })
     }
 
@@ -180,11 +190,11 @@ fn bin_shape(path: &Path, file_bytes: u64, words_per_ping: usize) -> Result<Reco
     if file_bytes == 0 {
         return Err(content(path, "an empty file", format!("pings of {words_per_ping} words of 4 bytes")));
     }
-    let ping_count = file_bytes.div_ceil(words_per_ping as u64 * 4) as usize;
+    let ping_count = file_bytes.div_ceil((words_per_ping as u64).saturating_mul(4).max(1)) as usize;
     Ok(RecordingShape { format: SampleFormat::Pdm, channel_count: None, sample_count: words_per_ping, ping_count })
 }
 
-fn npy_shape(path: &Path, reader: &mut BufReader<File>) -> Result<RecordingShape, RecordingError> {
+fn npy_shape(path: &Path, reader: &mut impl Read) -> Result<RecordingShape, RecordingError> {
     let io = |error| RecordingError::Io { path: path.to_owned(), error };
     let header = read_npy_header(path, reader)?;
     if header.order() != npyz::Order::C {
@@ -220,7 +230,7 @@ fn npy_shape(path: &Path, reader: &mut BufReader<File>) -> Result<RecordingShape
 }
 
 /// Reads the header, having judged its length first: the library allocates what the length field says.
-fn read_npy_header(path: &Path, reader: &mut BufReader<File>) -> Result<npyz::NpyHeader, RecordingError> {
+fn read_npy_header(path: &Path, reader: &mut impl Read) -> Result<npyz::NpyHeader, RecordingError> {
     let io = |error| RecordingError::Io { path: path.to_owned(), error };
     let mut start = Vec::with_capacity(12);
     reader.by_ref().take(12).read_to_end(&mut start).map_err(io)?;

@@ -19,10 +19,10 @@ pub use gate::{CommandSample, Gate, GateEvent, GateOutput, GateParams, MotionLim
 pub use params::SafetyParams;
 pub use plausibility::Plausibility;
 
+pub use crate::time::FUTURE_LIMIT_NS;
+
 use crate::time::Stamp;
 
-/// A stamp this far ahead of now is a broken clock, not an early ping.
-pub const FUTURE_LIMIT_NS: u64 = 50_000_000;
 /// Good ping sets or fresh commands in a row before the robot may move (again).
 pub const GOOD_IN_A_ROW: u32 = 5;
 /// An operator's arm request is obeyed for this long; what lay in a queue for longer is not what anybody wants now.

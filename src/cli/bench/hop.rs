@@ -114,7 +114,7 @@ fn pings(place: &Place) -> Result<Quantiles, Failure> {
         let reader = scope.spawn(move || {
             let mut times_ms = Vec::with_capacity(PINGS as usize);
             while !stop.load(Ordering::Relaxed) {
-                match listener.poll(0, &mut into.pings[0]) {
+                match listener.poll(0, &mut into.pings[0], SystemClock.now()) {
                     Some(Ok(())) => times_ms.push(since_ms(SystemClock.now(), into.pings[0].emitted_at.boottime_ns)),
                     Some(Err(_)) | None => std::thread::yield_now(),
                 }

@@ -8,6 +8,10 @@ use super::filters::kaiser_length;
 /// Longest transform that fits the 16 KiB of workgroup memory that every adapter has; longer ones are chosen less readily.
 const WORKGROUP_TRANSFORM_MAX: usize = 2048;
 
+/// Largest decimation that is looked at: transforms of a hundredth of the samples cost next to nothing already, and a band of a
+/// few hertz would allow a million of them.
+const DECIMATION_MAX: usize = 128;
+
 /// What the sizes must satisfy.
 pub(super) struct Wanted {
     pub sample_rate_hz: f64,
@@ -53,7 +57,7 @@ fn cheapest_transform(min: f64, max: f64) -> Option<(usize, f64)> {
 /// The cheapest sizes, or `None` where the band does not fit the sample rate or no length fits the step.
 pub(super) fn choose(wanted: &Wanted) -> Option<Sizes> {
     let mut best: Option<(f64, Sizes)> = None;
-    let decimation_max = (wanted.sample_rate_hz / wanted.width_hz).ceil() as usize;
+    let decimation_max = ((wanted.sample_rate_hz / wanted.width_hz).ceil() as usize).min(DECIMATION_MAX);
     for decimation in 1..=decimation_max {
         let transition = 1.0 / decimation as f64 - wanted.width_hz / wanted.sample_rate_hz;
         if !(transition > 0.01 / decimation as f64) {

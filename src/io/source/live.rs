@@ -6,10 +6,13 @@
 use super::{Delivery, Source, SourceError};
 use crate::io::{LiveTopics, RawRefusal};
 use crate::signal::{PingSet, SENSORS_MAX};
+use crate::time::{Clock, SystemClock};
 use std::time::{Duration, Instant};
 
 /// Pause between two looks at the topics; a set waits at most this much longer than it must.
 const LOOK_PAUSE: Duration = Duration::from_micros(500);
+/// Pings of one sensor taken in one look: a flood must not keep the others waiting.
+const LOOK_PINGS_MAX: usize = 8;
 /// Pings whose emissions lie further apart than this belong to different sets.
 const SAME_EMISSION_NS: u64 = 20_000_000;
 
@@ -35,7 +38,8 @@ impl LiveSource {
     /// Takes what has arrived; pings of an older emission are dropped, a newer emission replaces an incomplete older one.
     fn collect(&mut self, pings: &mut PingSet) {
         for index in 0..self.sensor_count.min(SENSORS_MAX) {
-            while let Some(result) = self.topics.poll(index, &mut pings.pings[index]) {
+            for _ in 0..LOOK_PINGS_MAX {
+                let Some(result) = self.topics.poll(index, &mut pings.pings[index], SystemClock.now()) else { break };
                 match result {
                     Ok(()) => self.place(index, pings),
                     Err(refusal) => self.refuse(index, &refusal),
