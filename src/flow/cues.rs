@@ -93,6 +93,16 @@ impl MaskSet {
         cues
     }
 
+    /// Which sensors have a sum that is no energy: their image is broken. All, for sums of another length than the table's rows.
+    #[must_use]
+    pub fn broken_sensors(&self, sums: &[RowSums]) -> [bool; SENSORS_MAX] {
+        let mut broken = [sums.len() != self.table.rows.len(); SENSORS_MAX];
+        for (row, sums) in self.table.rows.iter().zip(sums) {
+            broken[row.sensor_index] |= !is_sound(sums);
+        }
+        broken
+    }
+
     /// Way from the footprint to the first place of the CA region where every sensor that looks there hears side lobes only,
     /// loud enough to hide something; infinite where there is none. `masked` is `[sensor][ring]`, sums of E|M| over the way.
     fn unmasked_ahead_m(&self, masked: &Loudest, used: [bool; SENSORS_MAX]) -> f64 {

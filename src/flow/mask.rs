@@ -70,6 +70,8 @@ pub(super) struct Line {
 pub(super) struct WayPoint {
     /// Distance from the footprint.
     pub(super) distance_m: f64,
+    /// How far ahead of the footprint's front; negative beside it.
+    pub(super) ahead_m: f64,
     /// Ring in which each sensor sees it; `None` where one does not.
     pub(super) rings: [Option<usize>; SENSORS_MAX],
 }
@@ -155,6 +157,14 @@ impl MaskSet {
     pub fn coverage(&self, used: [bool; SENSORS_MAX]) -> CoverageCue {
         self.coverage[coverage::bits(used)]
     }
+
+    /// Whether these sensors leave a place of the CA region ahead of the footprint, over its whole width, that all together would
+    /// see, to none of them: a lost one was its only cover.
+    #[must_use]
+    pub fn lacks_cover_ahead(&self, used: [bool; SENSORS_MAX]) -> bool {
+        let covered = |point: &WayPoint| point.rings.iter().zip(used).any(|(ring, used)| used && ring.is_some());
+        self.way.iter().any(|point| point.ahead_m >= 0.0 && !covered(point))
+    }
 }
 
 fn check_shapes(grid: &PolarGrid, sensor_count: usize, hidden: &[Vec<bool>]) -> Result<(), ParameterError> {
@@ -204,7 +214,7 @@ fn way_points(
             };
             let mut rings = [None; SENSORS_MAX];
             rings.iter_mut().zip(mounts.iter().enumerate().map(ring)).for_each(|(slot, ring)| *slot = ring);
-            Some(WayPoint { distance_m, rings })
+            Some(WayPoint { distance_m, ahead_m: point_m.x - footprint_radius_m, rings })
         })
         .collect()
 }

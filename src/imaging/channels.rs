@@ -1,5 +1,6 @@
 //! Health of the microphone channels of a raw ping, judged on the CPU by bits before any backend sees the data:
-//! NaN, infinities, dead, stuck and clipped channels (specification, section 3, "Accuracy").
+//! NaN, infinities, dead, stuck and clipped channels (specification, section 3, "Accuracy"). Channels that the direct path
+//! told to be unfit ([`super::direct_path`]) are left out as well.
 //!
 //! In: raw samples. Out: a finding and a gain for each channel. Never changes a sample and never says what follows for the
 //! robot: callers compare [`ChannelReport::clipped_count`] and [`ChannelReport::bad_count`] with the limits below.
@@ -33,6 +34,8 @@ pub struct ChannelReport {
     pub gains: Vec<f32>,
     /// Finding of each channel.
     pub findings: Vec<ChannelFinding>,
+    /// What somebody else knows of each channel; counts where nothing worse is found.
+    known: Vec<ChannelFinding>,
 }
 
 /// What is wrong with a channel.
@@ -49,6 +52,12 @@ pub enum ChannelFinding {
     Stuck,
     /// At full scale later than the end of the emission + 2 ms.
     Clipped,
+    /// Hears its sensor's own emission not at all, or far too faintly or loudly.
+    Deaf,
+    /// Far noisier than the others while nothing is to be heard yet.
+    Noisy,
+    /// Hears the emission when another place would.
+    Misplaced,
 }
 
 impl ChannelReport {
@@ -58,7 +67,15 @@ impl ChannelReport {
         Self {
             gains: vec![1.0 / channel_count as f32; channel_count],
             findings: vec![ChannelFinding::Good; channel_count],
+            known: vec![ChannelFinding::Good; channel_count],
         }
+    }
+
+    /// Sets what is known of each channel from elsewhere, for every judgement from now on; channels beyond `known` are as good as
+    /// they are found.
+    pub fn set_known(&mut self, known: &[ChannelFinding]) {
+        self.known.fill(ChannelFinding::Good);
+        self.known.iter_mut().zip(known).for_each(|(own, known)| *own = *known);
     }
 
     /// Judges the channels of one raw ping and sets the gains. Allocates nothing. Samples of another length than the plan's count as
@@ -90,11 +107,16 @@ impl ChannelReport {
                 *finding = ChannelFinding::Disabled;
             }
         }
+        for (finding, known) in self.findings.iter_mut().zip(&self.known) {
+            if *finding == ChannelFinding::Good {
+                *finding = *known;
+            }
+        }
         let keep_clipped = self.clipped_count() > CLIPPED_LEFT_OUT_MAX;
         let used = |finding: &ChannelFinding| match finding {
             ChannelFinding::Good => true,
             ChannelFinding::Clipped => keep_clipped,
-            ChannelFinding::Disabled | ChannelFinding::NotFinite | ChannelFinding::Stuck => false,
+            _ => false,
         };
         let weights = || self.findings.iter().zip(&sensor.weights);
         let total: f32 = weights().filter(|(finding, _)| used(finding)).map(|(_, weight)| *weight).sum();
@@ -109,10 +131,12 @@ impl ChannelReport {
         self.findings.iter().filter(|finding| **finding == ChannelFinding::Clipped).count()
     }
 
-    /// Channels left out for a fault: not finite, stuck, and clipped ones unless so many are clipped that it means a near obstacle.
+    /// Channels left out for a fault: not finite, stuck, unfit by the direct path, and clipped ones unless so many are clipped that it means a near obstacle.
     #[must_use]
     pub fn bad_count(&self) -> usize {
-        let faulty = |finding: &&ChannelFinding| matches!(finding, ChannelFinding::NotFinite | ChannelFinding::Stuck);
+        let faulty = |finding: &&ChannelFinding| {
+            !matches!(finding, ChannelFinding::Good | ChannelFinding::Disabled | ChannelFinding::Clipped)
+        };
         let clipped = self.clipped_count();
         let clipped = if clipped > CLIPPED_LEFT_OUT_MAX { 0 } else { clipped };
         self.findings.iter().filter(faulty).count() + clipped

@@ -22,6 +22,7 @@ mod workshop;
 use crate::signal::{MaskTable, PingSet};
 use crate::time::SystemClock;
 use backend::{Backend, BackendError, BackendKind, BackendReport, Image};
+use channels::ChannelFinding;
 use cpu::CpuBackend;
 use guard::GpuGuard;
 pub use guard::SharedClock;
@@ -187,6 +188,13 @@ impl Imager {
         self.cpu.image(pings, &mut self.image)?;
         self.stage_times_ns = self.cpu.stage_times_ns();
         Ok(&self.image)
+    }
+
+    /// Says what is known of a sensor's channels beside their samples; they are left out of its images from now on.
+    pub fn set_known_channels(&mut self, sensor_index: usize, known: &[ChannelFinding]) {
+        if let Some(report) = self.image.channels.get_mut(sensor_index) {
+            report.set_known(known);
+        }
     }
 
     /// To be called with the pings of the last image when its command is out: every [`CHECK_EVERY`] sets the CPU images too what

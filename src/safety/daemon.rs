@@ -47,8 +47,10 @@ pub struct SensorFindings {
     pub clipped_channels: usize,
     /// It hears its own emission.
     pub direct_path: bool,
-    /// The delays of the direct path fit the array's geometry.
+    /// The delays of the direct path fit the array's geometry, or do not for too short a time to be sure.
     pub channel_map_fits: bool,
+    /// They do not fit in this ping, or were never judged.
+    pub channel_map_doubted: bool,
     /// Its samples repeat those of the ping before.
     pub frozen: bool,
     /// Sets in a row with missing sequence numbers, this one included.
@@ -64,6 +66,7 @@ impl SensorFindings {
         clipped_channels: 0,
         direct_path: true,
         channel_map_fits: true,
+        channel_map_doubted: false,
         frozen: false,
         gaps_in_a_row: 0,
     };
@@ -75,6 +78,7 @@ impl SensorFindings {
     pub fn is_usable(&self) -> bool {
         self.present
             && !self.rejected
+            && !self.channel_map_doubted
             && self.clipped_channels <= CLIPPED_CHANNELS_MAX
             && self.bad_channels <= BAD_CHANNELS_USABLE_MAX
     }
@@ -374,11 +378,14 @@ impl Daemon {
             if sensor.rejected {
                 continue;
             }
-            note(!sensor.direct_path, Severity::Fault, Reason::NoDirectPath);
+            let clipped = sensor.clipped_channels > CLIPPED_CHANNELS_MAX;
+            // Clipped all over it hears nothing but what is so loud: that stops the robot, and says nothing of emitter and array.
+            note(!sensor.direct_path && !clipped, Severity::Fault, Reason::NoDirectPath);
             note(sensor.frozen, Severity::Fault, Reason::FrozenPing);
-            note(!sensor.channel_map_fits, Severity::Fault, Reason::ChannelMap);
+            note(!sensor.channel_map_fits && !clipped, Severity::Fault, Reason::ChannelMap);
             note(self.unusable_in_a_row[index] >= UNUSABLE_MAX, Severity::Fault, Reason::ChannelsDead);
-            note(sensor.clipped_channels > CLIPPED_CHANNELS_MAX, Severity::Stop, Reason::Clipped);
+            note(clipped, Severity::Stop, Reason::Clipped);
+            note(sensor.channel_map_doubted && !clipped, Severity::Stop, Reason::ChannelMap);
             note(sensor.bad_channels > BAD_CHANNELS_USABLE_MAX, Severity::Stop, Reason::PingRejected);
             note(sensor.bad_channels > BAD_CHANNELS_GOOD_MAX, Severity::Slow, Reason::ChannelsLost);
             note(sensor.gaps_in_a_row >= SEQUENCE_GAPS_MAX, Severity::Slow, Reason::SequenceGaps);

@@ -1,9 +1,13 @@
 //! What can be judged of raw pings by their bytes, numbers and stamps: repeated samples, gaps, duplicates and steps
 //! backwards in the sequence, and the spread of a set's emission times.
 //!
+//! A driver that starts again counts from another number, and all it delivers would look old for ever: five such pings in a row, each
+//! the next and each emitted after everything that was ever used, are a new beginning.
+//!
 //! Raw pings in, findings out; the consequences are the daemon's ([`super::daemon`]). What needs signal processing (direct
 //! path, channel delays, dead channels) is found elsewhere. Allocates nothing.
 
+use super::GOOD_IN_A_ROW;
 use crate::signal::{PingSet, RawPing, SENSORS_MAX, Samples};
 
 /// How a ping's sequence number follows the one before.
@@ -81,6 +85,30 @@ struct Memory {
     sequence: Option<u64>,
     checksum: Option<u32>,
     gaps_in_a_row: u32,
+    /// Latest emission of a ping used.
+    emitted_ns: u64,
+    again: Option<Again>,
+}
+
+/// Pings with old numbers and new stamps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Again {
+    sequence: u64,
+    emitted_ns: u64,
+    run: u32,
+}
+
+impl Memory {
+    /// Notes a ping whose number is old; true when it is one of a driver that started again for certain.
+    fn has_begun_again(&mut self, ping: &RawPing) -> bool {
+        let emitted_ns = ping.emitted_at.boottime_ns;
+        let follows =
+            |before: &Again| ping.sequence == before.sequence.wrapping_add(1) && emitted_ns > before.emitted_ns;
+        let run = self.again.filter(follows).map_or(1, |before| before.run + 1);
+        // What was emitted before the last ping used is a late delivery of it or of an older one.
+        self.again = (emitted_ns > self.emitted_ns).then_some(Again { sequence: ping.sequence, emitted_ns, run });
+        self.again.is_some_and(|again| again.run >= GOOD_IN_A_ROW)
+    }
 }
 
 impl Plausibility {
@@ -90,7 +118,10 @@ impl Plausibility {
         let Some(memory) = self.sensors.get_mut(ping.sensor_index) else {
             return PingObservation { step: SequenceStep::Next, gaps_in_a_row: 0, frozen: false };
         };
-        let step = sequence_step(memory.sequence, ping.sequence);
+        let mut step = sequence_step(memory.sequence, ping.sequence);
+        if !step.usable() && memory.has_begun_again(ping) {
+            step = SequenceStep::Next;
+        }
         if !step.usable() {
             return PingObservation { step, gaps_in_a_row: memory.gaps_in_a_row, frozen: false };
         }
@@ -100,14 +131,9 @@ impl Plausibility {
             if matches!(step, SequenceStep::Gap(_)) { memory.gaps_in_a_row.saturating_add(1) } else { 0 };
         memory.sequence = Some(ping.sequence);
         memory.checksum = Some(checksum);
+        memory.emitted_ns = memory.emitted_ns.max(ping.emitted_at.boottime_ns);
+        memory.again = None;
         PingObservation { step, gaps_in_a_row: memory.gaps_in_a_row, frozen }
-    }
-
-    /// Forgets a sensor whose driver started again with other numbers.
-    pub fn forget(&mut self, sensor_index: usize) {
-        if let Some(memory) = self.sensors.get_mut(sensor_index) {
-            *memory = Memory::default();
-        }
     }
 }
 
@@ -154,6 +180,25 @@ mod tests {
         let older = memory.observe(&ping(4, 0.1));
         assert_eq!((older.step, older.step.usable()), (SequenceStep::Backward, false));
         assert_eq!(memory.observe(&ping(6, 0.7)).step, SequenceStep::Next);
+    }
+
+    #[test]
+    fn a_driver_that_starts_again_is_believed_at_its_fifth_ping_and_late_deliveries_never_are() {
+        let at = |sequence: u64, emitted_ns: u64| {
+            let mut ping = ping(sequence, emitted_ns as f32);
+            ping.emitted_at.boottime_ns = emitted_ns;
+            ping
+        };
+        let mut memory = Plausibility::default();
+        (90..100).for_each(|number| assert!(memory.observe(&at(number, number * 100)).step.usable()));
+        let usable: Vec<bool> =
+            (0..7).map(|number| memory.observe(&at(number, 10_000 + number * 100)).step.usable()).collect();
+        assert_eq!(usable, [false, false, false, false, true, true, true]);
+        // Old pings in their old order, and one that is repeated: none of them is a beginning.
+        let mut memory = Plausibility::default();
+        (90..100).for_each(|number| assert!(memory.observe(&at(number, number * 100)).step.usable()));
+        (80..99).for_each(|number| assert!(!memory.observe(&at(number, number * 100)).step.usable()));
+        (0..9).for_each(|time| assert!(!memory.observe(&at(7, 20_000 + time)).step.usable()));
     }
 
     #[test]

@@ -8,8 +8,9 @@ use crate::flow::MaskSet;
 use crate::geometry::Pose2;
 use crate::imaging::backend::{BackendError, BackendKind, Image};
 use crate::imaging::channels::ChannelReport;
-use crate::imaging::direct_path::{DirectPath, HEARD_MIN};
+use crate::imaging::direct_path::{ChannelMap, DirectPath, HEARD_MIN};
 use crate::imaging::{CrossCheck, Imager};
+use crate::safety::daemon::CLIPPED_CHANNELS_MAX;
 use crate::safety::{
     Daemon, DaemonEvent, DaemonOutput, DaemonState, GroupFindings, Plausibility, SensorFindings, plausibility,
 };
@@ -125,9 +126,13 @@ impl Pipeline {
             return Err(error);
         }
         let image = self.imager.last_image();
+        let broken = self.masks.broken_sensors(&image.sums);
         let mut used = [false; SENSORS_MAX];
         for (index, report) in image.channels.iter().enumerate().filter(|(index, _)| pings.present[*index]) {
-            judge_channels(&mut findings[index], report, image.imaged[index]);
+            judge_channels(&mut findings[index], report, image.imaged[index] && !broken[index]);
+            if findings[index].clipped_channels > CLIPPED_CHANNELS_MAX {
+                self.direct_path.disregard(index);
+            }
             // A sensor that does not hear its own emission is no witness of free space.
             used[index] = findings[index].is_usable() && findings[index].direct_path;
         }
@@ -144,7 +149,7 @@ impl Pipeline {
         Ok(Outcome { cues, decision, velocity: output.limit(decision.velocity), output, findings, used })
     }
 
-    /// Judges what needs no image: numbers, repeated samples, the direct path. A ping that was used before or is older than
+    /// Judges what needs no image: numbers, repeated samples, the direct path on every channel. A ping that was used before or is older than
     /// one used before is taken out of the set.
     fn judge_deliveries(&mut self, pings: &mut PingSet, findings: &mut [SensorFindings; SENSORS_MAX]) {
         let slots = pings.pings.iter().zip(&mut pings.present).zip(findings);
@@ -154,12 +159,15 @@ impl Pipeline {
                 *present = false;
                 continue;
             }
-            let heard = self.direct_path.correlation(&self.setup.plan, ping);
+            let heard = self.direct_path.listen(&self.setup.plan, ping);
+            self.imager.set_known_channels(ping.sensor_index, self.direct_path.unfit(ping.sensor_index));
             *findings = SensorFindings {
                 frozen: observed.frozen,
                 gaps_in_a_row: observed.gaps_in_a_row,
                 // NaN is not heard.
-                direct_path: heard >= HEARD_MIN,
+                direct_path: heard.correlation >= HEARD_MIN,
+                channel_map_fits: heard.map != ChannelMap::Wrong,
+                channel_map_doubted: matches!(heard.map, ChannelMap::Unknown | ChannelMap::Doubted),
                 ..SensorFindings::GOOD
             };
         }
@@ -197,11 +205,15 @@ impl Pipeline {
         self.fell_back
     }
 
-    /// Whether lost sensors leave the way ahead unseen that all sensors together would see.
+    /// Whether lost sensors leave unseen what all sensors together would see: the way ahead, or a place of the CA region on it.
     fn view_missing(&self, used: [bool; SENSORS_MAX], ahead_m: f64) -> bool {
         let count = self.setup.sensors.len();
         let all: [bool; SENSORS_MAX] = std::array::from_fn(|index| index < count);
-        used != all && !(ahead_m >= self.needed_ahead_m) && self.masks.coverage(all).ahead_m >= self.needed_ahead_m
+        if used == all {
+            return false;
+        }
+        let seen = ahead_m >= self.needed_ahead_m || !(self.masks.coverage(all).ahead_m >= self.needed_ahead_m);
+        !seen || self.masks.lacks_cover_ahead(used)
     }
 }
 

@@ -71,6 +71,8 @@ pub fn catalogue(sensor_count: usize) -> Vec<Case> {
         (Fault::DeadChannels { count: 12 }, Demand::Stop),
         (Fault::StuckChannels { count: 5 }, Demand::Slow),
         (Fault::HotChannels { count: 2, rms: 1e-2 }, Demand::GoOn),
+        (Fault::SwappedChannels { pairs: 4 }, IN_5_S),
+        (Fault::RateError { ratio: 1.01 }, IN_5_S),
         (Fault::Desync { late_ns: 5_000 }, Demand::Slow),
         (Fault::Desync { late_ns: 500_000 }, AT_ONCE),
         (Fault::Gaps { missing: 1 }, Demand::Slow),
