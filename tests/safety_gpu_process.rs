@@ -15,6 +15,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// A driver list that leads nowhere.
@@ -27,10 +28,15 @@ struct Daemon {
     heard: Vec<String>,
     started: Instant,
     _place: Place,
+    /// One daemon at a time: two would measure each other.
+    _turn: MutexGuard<'static, ()>,
 }
+
+static TURN: Mutex<()> = Mutex::new(());
 
 impl Daemon {
     fn start(arguments: &[&str], environment: &[(&str, &str)]) -> Self {
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         let place = Place::new();
         let started = Instant::now();
         let mut child = Command::new(env!("CARGO_BIN_EXE_noctule"))
@@ -52,7 +58,7 @@ impl Daemon {
                 }
             }
         });
-        Self { child, lines, heard: Vec::new(), started, _place: place }
+        Self { child, lines, heard: Vec::new(), started, _place: place, _turn: turn }
     }
 
     /// Time from the start to a line that contains `text`, if it comes within `limit`.
@@ -141,6 +147,7 @@ fn a_gpu_asked_for_by_name_is_named_and_without_any_the_daemon_exits_69() {
     assert_eq!(status.code(), Some(69));
     assert!(daemon.hears("no GPU to use", Duration::from_secs(1)).is_some(), "{:?}", daemon.heard);
     figure(32, "exit code of --backend gpu without an adapter", 69, "69", 1);
+    drop(daemon);
     if !gpu() {
         return;
     }

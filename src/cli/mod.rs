@@ -28,7 +28,7 @@ use std::time::Duration;
 
 /// Exit codes of the specification.
 pub mod exit {
-    /// A finding of `check`.
+    /// A finding of `check` or `soak`.
     pub const FINDING: u8 = 1;
     /// Usage.
     pub const USAGE: u8 = 2;

@@ -222,7 +222,7 @@ impl Drop for GpuGuard {
 const EXPONENT: u32 = 0x7f80_0000;
 
 /// Refuses an image that is of another ping set, not finite, or silent although there was something to hear.
-fn check(pings: &PingSet, image: &Image) -> Result<(), BackendError> {
+pub(super) fn check(pings: &PingSet, image: &Image) -> Result<(), BackendError> {
     let invalid = |what: String| Err(BackendError::Invalid(what));
     if (image.sequence, image.imaged, image.backend) != (pings.sequence, pings.present, BackendKind::Gpu) {
         return invalid(format!("it is of ping set {}, not {}", image.sequence, pings.sequence));

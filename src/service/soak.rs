@@ -21,6 +21,7 @@ use super::trial::TrialRig;
 use crate::imaging::backend::{Backend, BackendError};
 use crate::imaging::cpu::CpuBackend;
 use crate::imaging::drill::{DeviceFault, Drill};
+use crate::imaging::quarantine::Trust;
 use crate::imaging::{Imager, Opener};
 use crate::safety::OperatorEvent;
 use crate::signal::{DaemonState, GateState, SENSORS_MAX, Velocity};
@@ -163,15 +164,20 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Lets the daemon test itself and arms, before the world's time begins.
+    /// Lets the daemon test itself and arms, before the world's time begins. The GPU is lost once before: from then on its buffers lie
+    /// where those of every later device will, and memory shows only what is kept.
     fn arm(&mut self) -> Result<(), ServiceError> {
-        for _ in 0..START_SETS_MAX {
-            if self.drive.gate.state() == GateState::Track {
+        for number in 0..START_SETS_MAX {
+            let trusted = self.drive.pipeline.imager().trust() == Some(Trust::Trusted);
+            if self.drive.gate.state() == GateState::Track && trusted && number > 0 {
                 self.plan_next();
                 return Ok(());
             }
+            self.gpu.store(if number == 0 { GPU_LOST } else { GPU_SOUND }, Ordering::Relaxed);
+            self.drive.pipeline.imager().wait_for_device(OPEN_LIMIT);
             self.operate();
             self.drive.hear();
+            self.faults.apply(&mut self.drive.pings);
             self.drive.decide(Velocity::ZERO)?;
             for _ in 0..self.drive.ticks() {
                 self.drive.tick(false);

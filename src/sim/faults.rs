@@ -116,8 +116,9 @@ impl Fault {
 struct Sensor {
     channel_count: usize,
     fault: Option<Fault>,
-    /// Samples of the first faulty set, while frozen.
+    /// Samples of the first faulty set, while frozen; made with the first set, so that later ones allocate nothing.
     kept: Option<Samples>,
+    keeps: bool,
     /// Number of the last set without a fault.
     last_number: u64,
     left_out: u64,
@@ -139,6 +140,7 @@ impl Faults {
             channel_count: (*count).max(1),
             fault: None,
             kept: None,
+            keeps: false,
             last_number: 0,
             left_out: 0,
         };
@@ -153,7 +155,7 @@ impl Faults {
     pub fn set(&mut self, sensor_index: usize, fault: Option<Fault>) {
         if let Some(sensor) = self.sensors.get_mut(sensor_index) {
             sensor.fault = fault;
-            sensor.kept = None;
+            sensor.keeps = false;
         }
     }
 
@@ -184,20 +186,26 @@ impl Faults {
         ping.sequence = number;
         let Some(fault) = sensor.fault else {
             sensor.last_number = number;
+            if sensor.kept.is_none() {
+                sensor.kept = Some(Samples::clone(&ping.samples));
+                scratch.reserve(ping.samples.len());
+            }
             return false;
         };
         let channels = sensor.channel_count;
         match fault {
             Fault::EmitterDead { rms } => noise(ping.samples_mut(), channels, rms, random),
-            Fault::Zeros => {
-                let zeros = Samples::zeros(ping.samples.format(), ping.samples.len());
-                *ping.samples_mut() = zeros;
-            }
-            Fault::Frozen => match &sensor.kept {
-                Some(kept) => ping.samples_mut().clone_from(kept),
-                None => {
+            Fault::Zeros => match ping.samples_mut() {
+                Samples::Pdm(words) => words.fill(0),
+                Samples::PcmI16(values) => values.fill(0),
+                Samples::PcmF32(values) => values.fill(0.0),
+            },
+            Fault::Frozen => match &mut sensor.kept {
+                Some(kept) if sensor.keeps => copy(kept, ping.samples_mut()),
+                kept => {
                     // The first set is the one that the next ones repeat; nothing is wrong with it yet.
-                    sensor.kept = Some(Samples::clone(&ping.samples));
+                    copy(&ping.samples, kept.get_or_insert_with(|| Samples::clone(&ping.samples)));
+                    sensor.keeps = true;
                     return false;
                 }
             },
@@ -224,6 +232,16 @@ impl Faults {
             Fault::Backward => ping.sequence = sensor.last_number.wrapping_sub(STEP_BACK),
         }
         true
+    }
+}
+
+/// Copies samples into a buffer that most often has their size already.
+fn copy(from: &Samples, to: &mut Samples) {
+    match (from, to) {
+        (Samples::Pdm(from), Samples::Pdm(to)) => to.clone_from(from),
+        (Samples::PcmI16(from), Samples::PcmI16(to)) => to.clone_from(from),
+        (Samples::PcmF32(from), Samples::PcmF32(to)) => to.clone_from(from),
+        (from, to) => *to = from.clone(),
     }
 }
 

@@ -82,7 +82,7 @@ pub fn catalogue(sensor_count: usize) -> Vec<Case> {
         (Fault::Dropped, Demand::Stop),
         (Fault::Duplicate, Demand::Stop),
         (Fault::Backward, Demand::Stop),
-        (Fault::Future { ahead_ns: 100_000_000 }, Demand::Stop),
+        (Fault::Future { ahead_ns: 200_000_000 }, Demand::Stop),
         (Fault::Past { behind_ns: 400_000_000 }, Demand::Stop),
     ];
     let others: &[(&str, Trouble, Demand)] = &[
