@@ -1,7 +1,10 @@
 //! Contract: `process` over many recordings gives the same bytes however it is cut up, interrupted or run again, does nothing
 //! twice, and needs no more memory for a longer recording.
 
+mod checks;
+
 use assert_cmd::cargo::CommandCargoExt as _;
+use checks::{figure, trials};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::io::Write as _;
@@ -137,6 +140,62 @@ fn killed_in_the_middle_and_run_again_gives_the_bytes_of_one_run() {
     let idle = room.run(&room.all(), "cut", &more);
     assert!(idle.status.success() && talk(&idle).contains("4 finished before, 0 to do"), "{}", talk(&idle));
     assert_eq!(talk(&idle).matches("skipped").count(), 4, "{}", talk(&idle));
+}
+
+/// Whether what a killed run left of one recording is either told to be unfinished, by having no `meta.json`, or has every byte of
+/// a whole run.
+fn is_unfinished_or_whole(left: &Path, whole: &Path) -> bool {
+    !left.join("meta.json").exists() || {
+        let (left, whole) = (tree(left), tree(whole));
+        whole.iter().all(|(name, bytes)| left.get(name) == Some(bytes))
+    }
+}
+
+#[test]
+fn a_kill_at_any_moment_leaves_whole_results_or_none_and_the_next_run_completes_them() {
+    let room = Room::new();
+    for index in 0..3 {
+        room.recording(&format!("{index}.npy"), 8, index);
+    }
+    let begin = Instant::now();
+    assert!(room.run(&room.all(), "whole", &["--jobs", "2"]).status.success());
+    let duration = begin.elapsed();
+    let kills = trials(100, 4);
+    let (mut torn, mut lost, mut met) = (0, 0, 0);
+    for kill in 0..kills {
+        let out = format!("cut{kill}");
+        let mut command = room.process(&room.all(), &out, &["--jobs", "2"]);
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+        // Evenly over the whole run, in an order that a plain run cuts short without losing either end.
+        std::thread::sleep(duration.mul_f64((kill * 37 % 100) as f64 / 100.0));
+        met += usize::from(child.try_wait().expect("child").is_none());
+        child.kill().and_then(|()| child.wait()).expect("gone");
+        let folder = |root: &str, index: usize| room.path(&format!("{root}/{index}"));
+        torn += (0..3).filter(|index| !is_unfinished_or_whole(&folder(&out, *index), &folder("whole", *index))).count();
+        let again = room.run(&room.all(), &out, &["--jobs", "2"]);
+        lost += usize::from(!again.status.success() || tree(&room.path("whole")) != tree(&room.path(&out)));
+        std::fs::remove_dir_all(room.path(&out)).expect("removed");
+    }
+    figure(36, "results that look finished after a kill and are not", torn, "0", kills);
+    figure(36, "runs after a kill that did not end with the bytes of one run", lost, "0", kills);
+    assert_eq!((torn, lost), (0, 0));
+    assert!(met * 2 > kills, "only {met} of {kills} were killed before their end");
+}
+
+/// Negative control of the test above.
+#[test]
+fn a_torn_result_would_be_noticed() {
+    let room = Room::new();
+    room.recording("0.npy", 2, 1);
+    assert!(room.run(&room.all(), "whole", &[]).status.success() && room.run(&room.all(), "cut", &[]).status.success());
+    let (whole, cut) = (room.path("whole/0"), room.path("cut/0"));
+    assert!(is_unfinished_or_whole(&cut, &whole));
+    let array = cut.join("energyscape.npy");
+    let bytes = std::fs::read(&array).expect("array");
+    std::fs::write(&array, &bytes[..bytes.len() - 1]).expect("cut");
+    assert!(!is_unfinished_or_whole(&cut, &whole));
+    std::fs::remove_file(cut.join("meta.json")).expect("removed");
+    assert!(is_unfinished_or_whole(&cut, &whole));
 }
 
 #[test]

@@ -10,6 +10,17 @@ use std::io::Write as _;
 /// Share of the trials that a plain run makes.
 const SHARE: usize = 30;
 
+/// A line of the file of figures; the number first, by which they are sorted.
+#[derive(serde::Serialize)]
+struct Figure<'a> {
+    check: u8,
+    what: &'a str,
+    found: String,
+    bar: &'a str,
+    trials: usize,
+    full: bool,
+}
+
 /// Whether all trials are asked for.
 pub fn is_full() -> bool {
     std::env::var("NOCTULE_FULL").is_ok_and(|value| value == "1")
@@ -26,9 +37,8 @@ pub fn figure(number: u8, what: &str, found: impl Display, bar: &str, trials: us
     assert!((1..=40).contains(&number), "there are forty checks, not {number}");
     println!("check {number:02}: {what}: {found} ({bar}) in {trials} trials");
     let Some(path) = std::env::var_os("NOCTULE_FIGURES") else { return };
-    let line = serde_json::json!({
-        "check": number, "what": what, "found": found.to_string(), "bar": bar, "trials": trials, "full": is_full(),
-    });
+    let line = Figure { check: number, what, found: found.to_string(), bar, trials, full: is_full() };
+    let line = serde_json::to_string(&line).expect("JSON");
     let file = std::fs::File::options().create(true).append(true).open(&path);
     // One write call a line: test processes may append side by side.
     let written = file.and_then(|mut file| file.write_all(format!("{line}\n").as_bytes()));
