@@ -1,6 +1,9 @@
 //! Contract: for any cues and inputs whatever, in any order, every command is finite, within the platform's limits and rates, and
 //! never faster than wanted outside collision avoidance's reverse; mirrored cues give mirrored commands.
 
+mod checks;
+
+use checks::{figure, trials};
 use noctule::control::{ControlParams, Controller, PlatformLimits};
 use noctule::geometry::Pose2;
 use noctule::signal::{
@@ -9,6 +12,7 @@ use noctule::signal::{
 };
 use noctule::time::Stamp;
 use proptest::prelude::*;
+use std::cell::Cell;
 
 const START: Stamp = Stamp { boottime_ns: 1_000_000_000_000, wall_ns: 0 };
 const PERIOD_NS: u64 = 100_000_000;
@@ -194,18 +198,26 @@ fn sound_cues() -> impl Strategy<Value = Cues> {
     )
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2048))]
+/// Runs of some twelve decisions each, of each of the two properties: a million decisions of both in all.
+fn cases() -> ProptestConfig {
+    ProptestConfig::with_cases(trials(42_000, 2_048) as u32)
+}
 
-    #[test]
-    fn no_cues_and_no_input_break_a_limit(inputs in prop::collection::vec(any_input(), 1..24)) {
+#[test]
+fn no_cues_and_no_input_break_a_limit() {
+    let decisions = Cell::new(0);
+    proptest!(cases(), |(inputs in prop::collection::vec(any_input(), 1..24))| {
+        decisions.set(decisions.get() + inputs.len());
         prop_assert_eq!(run(inputs, |_, _| {}), None);
-    }
+    });
+    let told = format!("0 in {} decisions", decisions.get());
+    figure(1, "violations of limits, CA and finiteness", told, "0", cases().cases as usize);
+}
 
-    #[test]
-    fn mirrored_cues_give_mirrored_commands(
-        scene in prop::collection::vec((sound_cues(), -0.3..0.3f64, -1.0..1.0f64, 1..4usize), 1..16),
-    ) {
+#[test]
+fn mirrored_cues_give_mirrored_commands() {
+    let scene = prop::collection::vec((sound_cues(), -0.3..0.3f64, -1.0..1.0f64, 1..4usize), 1..16);
+    proptest!(cases(), |(scene in scene)| {
         let make = || Controller::new(&ControlParams::default(), &PlatformLimits::default());
         let (mut straight, mut mirror) = (make(), make());
         let mut now = START;
@@ -220,7 +232,8 @@ proptest! {
                 prop_assert!((a.velocity.angular_rad_s + b.velocity.angular_rad_s).abs() < 1e-12, "{:?} {:?}", a, b);
             }
         }
-    }
+    });
+    figure(1, "mirrored scenes without the mirrored command", 0, "0", cases().cases as usize);
 }
 
 /// Inputs from a fixed seed, for planted faults.

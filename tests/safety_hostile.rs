@@ -1,12 +1,15 @@
 //! Contract: no stream of commands, requests and late ticks, however hostile, moves the platform outside its limits, on
 //! a stale or foreign command, or without an arming; each protection taken away is noticed by the same judge.
 
+mod checks;
 mod safety_rig;
 
+use checks::{figure, trials};
 use noctule::safety::{CommandSample, DaemonState, GateEvent, GateOutput, GateState, OperatorEvent, Verdict};
 use noctule::signal::Velocity;
 use proptest::prelude::*;
 use safety_rig::{EPOCH, GateRig, LIMITS, MS, START_NS, command};
+use std::cell::Cell;
 
 /// One thing that a broken or hostile world does to the gate.
 #[derive(Debug, Clone)]
@@ -262,18 +265,39 @@ fn hostile_streams_do_drive_so_that_their_test_means_something() {
     assert!(driven > 100, "{driven} ticks with motion");
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 2_000, failure_persistence: None, ..ProptestConfig::default() })]
-
-    /// About 400 outputs a case: 8e5 judged outputs.
-    #[test]
-    fn no_hostile_stream_moves_the_platform_outside_the_contract(
-        driving in any::<bool>(),
-        hostile in prop::collection::vec(hostile(), 1..800),
-    ) {
-        // Half of the streams fall upon a gate that already drives.
+/// Half of the streams fall upon a gate that already drives; some 400 outputs a stream are judged.
+#[test]
+fn no_hostile_stream_moves_the_platform_outside_the_contract() {
+    let cases = trials(2_600, 400);
+    let outputs = Cell::new(0);
+    let config = ProptestConfig { cases: cases as u32, failure_persistence: None, ..ProptestConfig::default() };
+    proptest!(config, |(driving in any::<bool>(), hostile in prop::collection::vec(hostile(), 1..800))| {
         let mut stream = if driving { staged(Hostile::Tick(0), 0) } else { Vec::new() };
         stream.extend(hostile);
+        outputs.set(outputs.get() + stream.len());
         prop_assert_eq!(violations(&stream, Mutant::None), Vec::<String>::new());
+    });
+    figure(8, "outputs of the gate outside limits, stale, foreign or unarmed", 0, "0", outputs.get());
+    assert!(outputs.get() >= 300 * cases, "{} outputs", outputs.get());
+}
+
+#[test]
+fn a_spoilt_command_latches_before_the_next_tick() {
+    for spoilt in [2, 3, 4, 5] {
+        for velocity in [Velocity { linear_m_s: 0.3, angular_rad_s: 0.1 }, Velocity::ZERO] {
+            let mut rig = GateRig::in_state(GateState::Track);
+            let output = rig.command(|sample| {
+                sample.velocity = velocity;
+                match spoilt {
+                    2 => sample.checksum_matches = false,
+                    3 => sample.schema_matches = false,
+                    4 => sample.velocity.linear_m_s = f64::NAN,
+                    _ => sample.velocity.angular_rad_s = f64::INFINITY,
+                }
+            });
+            assert_eq!((output.state, output.velocity), (GateState::Latched, Velocity::ZERO), "{spoilt}");
+            assert_eq!(rig.tick().velocity, Velocity::ZERO);
+        }
     }
+    figure(8, "spoilt command to LATCHED and zero, ms", 0, "<= 20", 8);
 }

@@ -4,12 +4,16 @@ use super::args::{CheckArguments, ConfigChoice};
 use super::output::print_line;
 use super::{Failure, exit};
 use crate::config::Config;
+use crate::imaging::channels::ChannelFinding;
+use crate::imaging::direct_path::{ChannelMap, DirectPath, HEARD_MIN};
 use crate::io::recording_file::RecordingFile;
-use crate::service::wiring;
-use crate::signal::Samples;
+use crate::service::wiring::{self, SensingSetup};
+use crate::signal::{RawPing, Samples};
 use crate::sim::World;
+use crate::time::Stamp;
 use serde_json::{Value, json};
 use std::path::Path;
+use std::sync::Arc;
 
 /// What was found of a file: facts for the reader, and findings that deserve a look.
 struct Report {
@@ -102,14 +106,22 @@ fn check_recording(path: &Path, choice: &ConfigChoice) -> Result<Report, Failure
     let data = |error: crate::io::recording_file::RecordingError| Failure::new(exit::DATA, error);
     let mut recording = RecordingFile::open(path, wiring::words_per_ping(&config)).map_err(data)?;
     let shape = recording.shape();
+    let mut findings = Vec::new();
+    let fitting = wiring::recording_for(&config, shape.format, shape.sample_count);
+    let mut listener = match fitting.and_then(|format| wiring::sensing_of_one(&config, 0, &format)) {
+        Ok(setup) => Some(Listener::new(setup)),
+        Err(error) => {
+            findings.push(format!("the configuration does not fit: {error}"));
+            None
+        }
+    };
     let mut samples = Samples::zeros(shape.format, 0);
     let mut complete = 0_u64;
     while recording.read_ping(&mut samples).map_err(data)? {
         complete += 1;
-    }
-    let mut findings = Vec::new();
-    if let Err(error) = wiring::recording_for(&config, shape.format, shape.sample_count) {
-        findings.push(format!("the configuration does not fit: {error}"));
+        if let Some(listener) = &mut listener {
+            samples = listener.listen(samples);
+        }
     }
     let facts = json!({
         "kind": "recording",
@@ -117,6 +129,54 @@ fn check_recording(path: &Path, choice: &ConfigChoice) -> Result<Report, Failure
         "microphones": shape.channel_count,
         "samples": shape.sample_count,
         "pings": complete,
+        "direct_path": listener.map_or(Value::Null, |listener| listener.facts()),
     });
     Ok(Report { facts, findings })
+}
+
+/// What the pings of a recording tell of the first sensor's emitter and array.
+struct Listener {
+    setup: SensingSetup,
+    direct_path: DirectPath,
+    heard: u64,
+    map: ChannelMap,
+}
+
+impl Listener {
+    fn new(setup: SensingSetup) -> Self {
+        let direct_path = DirectPath::new(&setup.plan, &setup.sensors, setup.speed_of_sound_m_s);
+        Self { setup, direct_path, heard: 0, map: ChannelMap::Unknown }
+    }
+
+    /// Listens to a ping and gives its samples back.
+    fn listen(&mut self, samples: Samples) -> Samples {
+        let samples = Arc::new(samples);
+        let ping =
+            RawPing { sensor_index: 0, sequence: 0, emitted_at: Stamp::default(), samples: Arc::clone(&samples) };
+        let found = self.direct_path.listen(&self.setup.plan, &ping);
+        self.heard += u64::from(found.correlation >= HEARD_MIN);
+        self.map = found.map;
+        drop(ping);
+        Arc::unwrap_or_clone(samples)
+    }
+
+    fn facts(&self) -> Value {
+        let unfit = self.direct_path.unfit(0).iter().enumerate();
+        let unfit: Vec<usize> = unfit.filter(|(_, found)| **found != ChannelFinding::Good).map(|(k, _)| k).collect();
+        let fit = self.direct_path.calibration(0).map(|found| {
+            json!({
+                "residual_m": found.residual_m,
+                "speed_of_sound_m_s": found.speed_of_sound_m_s,
+                "emitter_m": [found.emitter_m.x, found.emitter_m.y, found.emitter_m.z],
+                "late_s": found.offset_s,
+            })
+        });
+        let map = match self.map {
+            ChannelMap::Unknown => "unknown",
+            ChannelMap::Fits => "fits",
+            ChannelMap::Doubted => "doubted",
+            ChannelMap::Wrong => "wrong",
+        };
+        json!({"sensor": self.setup.sensors[0].name, "pings_heard": self.heard, "array": map, "unfit_channels": unfit, "fit": fit})
+    }
 }

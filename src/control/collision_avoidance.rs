@@ -133,6 +133,8 @@ impl BehaviourLayer for CollisionAvoidance {
             self.last_turn = self.held_turn;
         } else if !on {
             self.held_turn = None;
+        }
+        if !on && !holds {
             (self.reversed_m, self.reversed_s) = (0.0, 0.0);
         }
         on
@@ -158,6 +160,8 @@ impl BehaviourLayer for CollisionAvoidance {
     fn stand_by(&mut self) {}
 
     fn reset(&mut self) {
-        *self = Self::new(&self.params, self.period_s);
+        // A budget of way and time is not earned anew by forgetting what it was spent on: only a clear region gives it back.
+        let (reversed_m, reversed_s) = (self.reversed_m, self.reversed_s);
+        *self = Self { reversed_m, reversed_s, ..Self::new(&self.params, self.period_s) };
     }
 }

@@ -1,8 +1,9 @@
 //! What can be judged of raw pings by their bytes, numbers and stamps: repeated samples, gaps, duplicates and steps
 //! backwards in the sequence, and the spread of a set's emission times.
 //!
-//! A driver that starts again counts from another number, and all it delivers would look old for ever: five such pings in a row, each
-//! the next and each emitted after everything that was ever used, are a new beginning.
+//! What was emitted before a ping that was used is not used any more, whatever its number. A driver that starts again counts from
+//! another number, and all it delivers would look old for ever: five such pings in a row, each the next and each emitted
+//! after everything that was ever used, are a new beginning; so are five whose numbers go on after one with a stamp from the future.
 //!
 //! Raw pings in, findings out; the consequences are the daemon's ([`super::daemon`]). What needs signal processing (direct
 //! path, channel delays, dead channels) is found elsewhere. Allocates nothing.
@@ -63,6 +64,23 @@ pub fn desync_ns(pings: &PingSet) -> u64 {
     }
 }
 
+/// Takes the pings out of a set that were emitted a period or more before the newest: they belong to another trigger. Returns whether
+/// there were any; the set's own stamp is then the oldest of those left.
+pub fn drop_other_triggers(pings: &mut PingSet, period_ns: u64) -> bool {
+    let newest_ns = pings.iter_present().map(|ping| ping.emitted_at.boottime_ns).max().unwrap_or(0);
+    let mut dropped = false;
+    for (ping, present) in pings.pings.iter().zip(&mut pings.present) {
+        let other = *present && newest_ns - ping.emitted_at.boottime_ns >= period_ns;
+        *present &= !other;
+        dropped |= other;
+    }
+    if dropped {
+        let oldest = pings.iter_present().map(|ping| ping.emitted_at).min_by_key(|stamp| stamp.boottime_ns);
+        pings.emitted_at = oldest.unwrap_or(pings.emitted_at);
+    }
+    dropped
+}
+
 /// What [`Plausibility::observe`] found of one ping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PingObservation {
@@ -90,7 +108,7 @@ struct Memory {
     again: Option<Again>,
 }
 
-/// Pings with old numbers and new stamps.
+/// Pings that look old in a row, each the next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Again {
     sequence: u64,
@@ -99,15 +117,25 @@ struct Again {
 }
 
 impl Memory {
-    /// Notes a ping whose number is old; true when it is one of a driver that started again for certain.
-    fn has_begun_again(&mut self, ping: &RawPing) -> bool {
+    /// How a ping follows what was used before, by number and by stamp.
+    fn step(&mut self, ping: &RawPing) -> SequenceStep {
         let emitted_ns = ping.emitted_at.boottime_ns;
+        let step = sequence_step(self.sequence, ping.sequence);
+        let earlier = emitted_ns < self.emitted_ns;
+        if step.usable() && !earlier {
+            return step;
+        }
         let follows =
             |before: &Again| ping.sequence == before.sequence.wrapping_add(1) && emitted_ns > before.emitted_ns;
         let run = self.again.filter(follows).map_or(1, |before| before.run + 1);
-        // What was emitted before the last ping used is a late delivery of it or of an older one.
-        self.again = (emitted_ns > self.emitted_ns).then_some(Again { sequence: ping.sequence, emitted_ns, run });
-        self.again.is_some_and(|again| again.run >= GOOD_IN_A_ROW)
+        // Old by number and by stamp is a late delivery.
+        let may_begin = step.usable() || emitted_ns > self.emitted_ns;
+        self.again = may_begin.then_some(Again { sequence: ping.sequence, emitted_ns, run });
+        if may_begin && run >= GOOD_IN_A_ROW {
+            self.emitted_ns = 0;
+            return SequenceStep::Next;
+        }
+        if step.usable() { SequenceStep::Backward } else { step }
     }
 }
 
@@ -118,10 +146,7 @@ impl Plausibility {
         let Some(memory) = self.sensors.get_mut(ping.sensor_index) else {
             return PingObservation { step: SequenceStep::Next, gaps_in_a_row: 0, frozen: false };
         };
-        let mut step = sequence_step(memory.sequence, ping.sequence);
-        if !step.usable() && memory.has_begun_again(ping) {
-            step = SequenceStep::Next;
-        }
+        let step = memory.step(ping);
         if !step.usable() {
             return PingObservation { step, gaps_in_a_row: memory.gaps_in_a_row, frozen: false };
         }

@@ -29,6 +29,7 @@ pub struct Reporter {
     sensors_present: u32,
     latencies: Latencies,
     news: bool,
+    passed_self_test: bool,
     reported_at: Option<Stamp>,
     complaints: u64,
     deadline_ms: f64,
@@ -45,6 +46,7 @@ impl Reporter {
     pub fn note(&mut self, output: &DaemonOutput) {
         if let Some(transition) = output.transition {
             self.news = true;
+            self.passed_self_test |= transition.from == DaemonState::SelfTest && transition.to == DaemonState::Ready;
             self.stop_count += u64::from(transition.to == DaemonState::Stopped);
             let text = format!("{} -> {} ({})", transition.from, transition.to, transition.reason);
             match transition.to {
@@ -88,6 +90,9 @@ impl Reporter {
 
     /// Publishes when a second has passed or the state has changed.
     pub fn report(&mut self, now: Stamp, pipeline: &Pipeline, topics: &DaemonTopics) {
+        if std::mem::take(&mut self.passed_self_test) {
+            pipeline.calibrations().for_each(|(name, found)| log::info!("{name}: {found}"));
+        }
         let due = self.reported_at.is_none_or(|at| now.since_ns(at) >= PERIOD_NS);
         if due || self.news {
             self.report_now(now, pipeline, topics);

@@ -8,7 +8,7 @@ use crate::flow::MaskSet;
 use crate::geometry::Pose2;
 use crate::imaging::backend::{BackendError, BackendKind, Image};
 use crate::imaging::channels::ChannelReport;
-use crate::imaging::direct_path::{ChannelMap, DirectPath, HEARD_MIN};
+use crate::imaging::direct_path::{Calibration, ChannelMap, DirectPath, HEARD_MIN};
 use crate::imaging::{CrossCheck, Imager};
 use crate::safety::daemon::CLIPPED_CHANNELS_MAX;
 use crate::safety::{
@@ -46,6 +46,8 @@ pub struct Pipeline {
     direct_path: DirectPath,
     /// Way that the robot needs to see to be allowed the slowest forward motion.
     needed_ahead_m: f64,
+    /// From one trigger of the sensors to the next.
+    period_ns: u64,
     fell_back: bool,
 }
 
@@ -62,6 +64,7 @@ impl Pipeline {
             controller,
             plausibility: Plausibility::default(),
             needed_ahead_m: config.platform.radius_m,
+            period_ns: (1e9 / config.control.rate_hz) as u64,
             fell_back: false,
             setup,
             masks,
@@ -79,6 +82,12 @@ impl Pipeline {
     #[must_use]
     pub fn image(&self) -> &Image {
         self.imager.last_image()
+    }
+
+    /// Name of each sensor whose direct path was judged, and what fits it best.
+    pub fn calibrations(&self) -> impl Iterator<Item = (&str, Calibration)> {
+        let sensors = self.setup.sensors.iter().enumerate();
+        sensors.filter_map(|(index, sensor)| Some((sensor.name.as_str(), self.direct_path.calibration(index)?)))
     }
 
     /// The backend chooser.
@@ -103,7 +112,8 @@ impl Pipeline {
         output
     }
 
-    /// Images a ping set, decides, and updates the state. Pings that must not be used twice are marked absent in `pings`.
+    /// Images a ping set, decides, and updates the state. Pings that must not be used twice, or
+    /// belong to another trigger, are marked absent in `pings`.
     ///
     /// # Errors
     /// When no backend can image the set; the state machine has been told, and a zero velocity is to be published.
@@ -115,6 +125,7 @@ impl Pipeline {
         pose: Option<Pose2>,
     ) -> Result<Outcome, BackendError> {
         let mut findings = [SensorFindings::ABSENT; SENSORS_MAX];
+        plausibility::drop_other_triggers(pings, self.period_ns);
         let desync_ns = plausibility::desync_ns(pings);
         self.judge_deliveries(pings, &mut findings);
         let captured_at_ns = pings.emitted_at.boottime_ns;

@@ -6,9 +6,7 @@ use noctule::config::Config;
 use noctule::imaging::backend::Backend;
 use noctule::imaging::params::Prefer;
 use noctule::imaging::{Imager, ImagerOptions};
-use noctule::safety::{
-    CommandSample, DaemonEvent, DaemonState, Gate, GateEvent, GateState, OperatorEvent, SafetyParams,
-};
+use noctule::safety::{CommandSample, DaemonEvent, DaemonState, Gate, GateEvent, GateState, OperatorEvent};
 use noctule::service::pipeline::{Outcome, Pipeline};
 use noctule::service::simulator;
 use noctule::service::wiring::{self, SensingSetup};
@@ -21,6 +19,8 @@ pub const MS: u64 = 1_000_000;
 pub const EPOCH: u64 = 7;
 /// From emission to the decision: 36 ms of recording, 20 ms of work.
 pub const LATENCY_NS: u64 = 56 * MS;
+/// From emission to the end of its recording: the arrival of the ping set.
+pub const RECORDING_NS: u64 = 36 * MS;
 pub const PERIOD_NS: u64 = 100 * MS;
 pub const TICK_NS: u64 = 20 * MS;
 /// Bars of the safe-state contract.
@@ -73,6 +73,8 @@ pub struct Rig {
     pub told: Vec<(u64, Velocity)>,
     /// Emission of the newest set.
     pub emitted_ns: u64,
+    /// The newest set as it was delivered.
+    pub last: Option<PingSet>,
     waiting: Option<CommandSample>,
 }
 
@@ -99,8 +101,17 @@ impl Rig {
         let mut pipeline = Pipeline::new(config, setup, masks, imager.expect("imager"), EPOCH, stamp(now_ns));
         pipeline.tell(DaemonEvent::Started, stamp(now_ns));
         let gate = Gate::new(config.gate_params(), stamp(now_ns));
-        let _ = SafetyParams::default();
-        Self { pipeline, gate, now_ns, sequence: 0, commands: 0, told: Vec::new(), emitted_ns: 0, waiting: None }
+        Self {
+            pipeline,
+            gate,
+            now_ns,
+            sequence: 0,
+            commands: 0,
+            told: Vec::new(),
+            emitted_ns: 0,
+            last: None,
+            waiting: None,
+        }
     }
 
     /// One period: the set is emitted now, decided on 56 ms later, and the gate ticks all the time.
@@ -112,15 +123,25 @@ impl Rig {
         for ping in &mut set.pings {
             ping.sequence = self.sequence;
             ping.emitted_at = set.emitted_at;
+            // No two sets are the same, however often a recorded one is taken.
+            let mark = self.sequence % 1_000;
+            match ping.samples_mut() {
+                Samples::PcmF32(values) => {
+                    values.iter_mut().rev().take(1).for_each(|value| *value = mark as f32 * 1e-7)
+                }
+                Samples::PcmI16(values) => values.iter_mut().rev().take(1).for_each(|value| *value = mark as i16),
+                Samples::Pdm(words) => words.iter_mut().rev().take(1).for_each(|word| *word = mark as u32),
+            }
         }
         change(&mut set);
+        self.last = Some(set.clone());
         self.sequence += 1;
         let decided_ns = self.emitted_ns + LATENCY_NS;
         let outcome = self.pipeline.process(stamp(decided_ns), &mut set, WANTED, None).expect("imaged");
         let command = self.command(&outcome, set.emitted_at.boottime_ns);
-        self.run_to(decided_ns, None);
+        self.run_to(decided_ns);
         self.waiting = Some(command);
-        self.run_to(self.emitted_ns + PERIOD_NS, None);
+        self.run_to(self.emitted_ns + PERIOD_NS);
         outcome
     }
 
@@ -140,8 +161,7 @@ impl Rig {
     }
 
     /// Lets the gate tick up to a moment.
-    pub fn run_to(&mut self, until_ns: u64, last: Option<u64>) {
-        let until_ns = last.unwrap_or(until_ns);
+    pub fn run_to(&mut self, until_ns: u64) {
         if let Some(command) = self.waiting.take() {
             self.gate = self.gate.step(GateEvent::Command(command), stamp(self.now_ns)).0;
         }
@@ -186,9 +206,9 @@ impl Rig {
         self.drive(sets);
     }
 
-    /// Time from `since_ns` to the first tick from which on nothing moves forward any more; `None` if it moves at the end.
+    /// Time from `since_ns` to the first tick from which on nothing moves any more; `None` if it moves at the end.
     pub fn still_after_ms(&self, since_ns: u64) -> Option<f64> {
-        let moving = |velocity: &Velocity| velocity.linear_m_s > 0.0;
+        let moving = |velocity: &Velocity| *velocity != Velocity::ZERO;
         if self.told.last().is_none_or(|(_, velocity)| moving(velocity)) {
             return None;
         }
@@ -221,7 +241,7 @@ impl Random {
         self.next() as f32 / (1_u64 << 30) as f32 - 1.0
     }
 
-    /// Sum of twelve uniform numbers: mean 0, standard deviation 2.
+    /// Half the sum of twelve uniform numbers: mean 0, standard deviation 1.
     pub fn gaussian(&mut self) -> f32 {
         (0..12).map(|_| self.uniform()).sum::<f32>() / 2.0
     }

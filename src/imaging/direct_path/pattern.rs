@@ -130,6 +130,20 @@ pub struct Calibration {
     pub residual_m: f64,
 }
 
+impl std::fmt::Display for Calibration {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { pings, channels, speed_of_sound_m_s, emitter_m, offset_s, residual_m } = self;
+        let [x_mm, y_mm, z_mm] = [emitter_m.x, emitter_m.y, emitter_m.z].map(|place_m| 1e3 * place_m);
+        write!(
+            f,
+            "the direct path fits the array to {:.2} mm rms on {channels} channels over {pings} pings, with {speed_of_sound_m_s:.1} m/s, \
+             the emitter at ({x_mm:.1}, {y_mm:.1}, {z_mm:.1}) mm and the emission {:.1} us late",
+            1e3 * residual_m,
+            1e6 * offset_s
+        )
+    }
+}
+
 /// Fits offset, speed of sound and the emitter's y and z: `heard` yields each microphone's place and mean deviation. `None` with
 /// fewer than six.
 pub(super) fn calibrate(

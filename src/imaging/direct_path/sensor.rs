@@ -41,6 +41,8 @@ const NOISE_FLOOR: f32 = 2e-6;
 /// Samples of the quiet stretch that are needed, and those left out at its ends: the filter's way in and the taper's beginning.
 const QUIET_MIN: usize = 16;
 const QUIET_MARGIN: usize = 6;
+/// Channels that may be looked for without a doubt of the others.
+const PENDING_MAX: usize = 2;
 /// Rounds through all channels after which a doubt is certain.
 const CERTAIN_ROUNDS: u32 = 3;
 /// Share of the shift that a sample rate wrong by 1 % makes from which the emission counts as late.
@@ -241,9 +243,9 @@ impl SensorPath {
             } else {
                 Correlation::default()
             };
-            channel.coefficient = found.coefficient;
-            if !(found.coefficient > 0.0) {
-                channel.told = Told::Deaf;
+            channel.coefficient = if is_flat(&self.start) { 0.0 } else { found.coefficient };
+            if !(channel.coefficient > 0.0) {
+                (channel.told, channel.late) = (Told::Deaf, None);
                 continue;
             }
             if channel.quiet_len > 0 {
@@ -373,9 +375,13 @@ impl SensorPath {
         let hears = |channel: &&Channel| matches!(channel.told, Told::InPlace { .. } | Told::Elsewhere { .. });
         self.sorted.extend(self.channels.iter().filter(hears).map(|channel| channel.clarity));
         let clear = median(&mut self.sorted) >= CLEAR_MIN;
-        let pending = self.channels.iter().any(|channel| channel.told == Told::Nothing);
+        let pending = self.channels.iter().filter(|channel| channel.told == Told::Nothing).count();
         self.mark_unfit();
-        if !clear || pending {
+        if clear && pending > PENDING_MAX && self.map == ChannelMap::Fits {
+            // So many that are not where they were: until it is known where they are, nothing is.
+            self.map = ChannelMap::Doubted;
+        }
+        if !clear || pending > 0 {
             return;
         }
         let fits = self.map_fits();
@@ -488,6 +494,11 @@ fn hear(template: &Template, start: &[f32], channel: &mut Channel, shift: i64, f
 fn is_alive(start: &[f32]) -> bool {
     let power: f32 = start.iter().map(|sample| sample * sample).sum();
     power > 0.0 && power.is_finite()
+}
+
+/// All samples equal, but for what a filter begins with.
+fn is_flat(start: &[f32]) -> bool {
+    start.get(2..).is_none_or(|rest| rest.iter().all(|sample| *sample == rest[0]))
 }
 
 /// An angle within half a turn.
