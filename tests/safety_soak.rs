@@ -11,8 +11,16 @@ use noctule::service::soak::{
 use noctule::service::trial::TrialRig;
 use noctule::signal::{DaemonState, GateState, SampleFormat, Velocity};
 use noctule::sim::World;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 const TICK_NS: u64 = 20_000_000;
+
+/// Memory and threads are those of the whole process: one soak at a time.
+static TURN: Mutex<()> = Mutex::new(());
+
+fn turn() -> MutexGuard<'static, ()> {
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 fn rig() -> TrialRig {
     let mut config = Config::default();
@@ -36,6 +44,7 @@ fn tell(summary: &Summary, what: &str) {
 
 #[test]
 fn a_robot_that_meets_a_fault_a_minute_stops_in_time_and_never_moves_when_it_must_not() {
+    let _turn = turn();
     let minutes = if is_full() { 60.0 } else { 6.0 };
     let options = SoakOptions { minutes, seed: 40, fault_every_s: 60.0 };
     let summary = soak(&rig(), &world(), &options, &mut |_| {}).expect("soaked");
@@ -53,6 +62,7 @@ fn a_robot_that_meets_a_fault_a_minute_stops_in_time_and_never_moves_when_it_mus
 
 #[test]
 fn every_trouble_of_the_catalogue_leads_to_what_is_asked_for() {
+    let _turn = turn();
     let (rig, all) = (rig(), catalogue(3));
     // All positions of all faults in the full run; otherwise another third of the list for each.
     let stride = all.len() / trials(all.len(), 14);
@@ -67,6 +77,7 @@ fn every_trouble_of_the_catalogue_leads_to_what_is_asked_for() {
 
 #[test]
 fn a_run_repeats_itself_bit_by_bit_and_another_seed_gives_another() {
+    let _turn = turn();
     let (rig, world) = (rig(), world());
     let run = |seed| {
         let options = SoakOptions { minutes: 0.8, seed, fault_every_s: 6.0 };
