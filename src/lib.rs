@@ -44,6 +44,7 @@
 //! pipeline and the gate of the daemon and the controller process; [`service::proving`] drives many on a few threads; [`service::sweep`] draws sensor
 //! layouts and ranks them; [`service::plots`] turns all of these into what [`io::plot`] draws (the figures of paper 000);
 //! [`io::plot_layouts`] draws the ranking; `cli::simulate` is the command.
+//! [`service::soak`] drives one robot for hours while something goes wrong every minute, and scores how it stops and goes on.
 //!
 //! `tests/architecture.rs` holds the import table. Compared with the first sketch of this house two leaves were added,
 //! [`parameter`] (a refused value) and [`document`] (TOML errors that point at the line), `sensor` may name `signal`'s sample

@@ -333,3 +333,16 @@ fn replay_of_a_recording_runs_to_its_end() {
     let source = format!("replay:{}", room.path("nothing.npy").display());
     noctule().args(["run", "--source", &source, "--config"]).arg(&config).assert().code(65);
 }
+
+#[test]
+fn soak_prints_one_object_and_exits_0_when_nothing_is_found() {
+    let room = Room::new();
+    let arguments = ["soak", "--minutes", "0.2", "--seed", "5", "--fault-every", "4", "--config"];
+    let output = noctule().args(arguments).arg(room.config("")).output().expect("output");
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    let summary: Value = serde_json::from_slice(&output.stdout).expect("one object");
+    assert_eq!(output.status.code(), Some(0), "{told}\n{summary}");
+    assert_eq!(summary["findings"], serde_json::json!([]));
+    assert!(summary["ping_sets"].as_u64() >= Some(100) && summary["troubles"].as_u64() >= Some(1), "{summary}");
+    noctule().args(["soak", "--minutes", "0"]).assert().code(2);
+}

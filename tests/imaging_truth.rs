@@ -381,12 +381,13 @@ impl FaultyGpu {
 }
 
 impl Backend for FaultyGpu {
-    fn image(&mut self, _: &PingSet, image: &mut Image) -> Result<(), BackendError> {
+    fn image(&mut self, pings: &PingSet, image: &mut Image) -> Result<(), BackendError> {
+        let failure = if self.failures.is_empty() { None } else { self.failures.remove(0) };
         // Half-done results, as a lost device leaves them.
-        image.energyscapes[0].values.fill(f32::NAN);
+        image.energyscapes[0].values.fill(if failure.is_some() { f32::NAN } else { 1.0 });
         image.sums.iter_mut().for_each(|sums| sums.energy = -1.0);
-        image.backend = BackendKind::Gpu;
-        if self.failures.is_empty() { Ok(()) } else { self.failures.remove(0).map_or(Ok(()), Err) }
+        (image.backend, image.sequence, image.imaged) = (BackendKind::Gpu, pings.sequence, pings.present);
+        failure.map_or(Ok(()), Err)
     }
 
     fn image_up_to(&mut self, _: Stage, _: &PingSet, _: usize, _: &mut Image) -> Result<StageOutput, BackendError> {

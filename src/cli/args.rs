@@ -53,6 +53,8 @@ pub enum Command {
     Process(ProcessArguments),
     /// Drive simulated robots through a world and score them; rank sensor layouts.
     Simulate(SimulateArguments),
+    /// Drive a simulated robot while something goes wrong every minute; score how it stops, stands and goes on.
+    Soak(SoakArguments),
     /// Write the masks of the control regions, as arrays and pictures.
     Masks(MasksArguments),
     /// Time the stages and the whole ping, CPU and GPU side by side.
@@ -203,6 +205,28 @@ pub struct ProcessArguments {
     /// Do again what was finished before.
     #[arg(long)]
     pub force: bool,
+}
+
+/// `soak`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  noctule soak                              six robot-minutes, a fault a minute
+  noctule soak --minutes 60 --seed 7
+  noctule soak --minutes 10 --fault-every 15
+
+Prints one JSON object. Exit 1 when the robot moved when it must not, stopped too late, or stopped for nothing.")]
+pub struct SoakArguments {
+    #[command(flatten)]
+    pub choice: ConfigChoice,
+    /// Robot-minutes; simulated faster than real time.
+    #[arg(long, value_name = "M", default_value_t = 6.0, value_parser = seconds)]
+    pub minutes: f64,
+    /// Seed of start, noise, faults and their order.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Seconds from one fault to the next, at most.
+    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = seconds)]
+    pub fault_every: f64,
 }
 
 /// `masks`.

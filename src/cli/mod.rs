@@ -14,6 +14,7 @@ mod output;
 mod process;
 mod run;
 mod simulate;
+mod soak;
 mod topics;
 
 pub use args::{Arguments, Command};
@@ -27,7 +28,7 @@ use std::time::Duration;
 
 /// Exit codes of the specification.
 pub mod exit {
-    /// A finding of `check`.
+    /// A finding of `check` or `soak`.
     pub const FINDING: u8 = 1;
     /// Usage.
     pub const USAGE: u8 = 2;
@@ -150,6 +151,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Wipe(arguments) => run::wipe(&arguments),
         Command::Process(arguments) => process::process(&arguments),
         Command::Simulate(arguments) => simulate::simulate(&arguments),
+        Command::Soak(arguments) => soak::soak_command(&arguments),
         Command::Masks(arguments) => masks::masks(&arguments),
         Command::Bench(arguments) => bench::bench(&arguments),
         Command::Detect(arguments) => detect::detect(&arguments),

@@ -1,33 +1,46 @@
 //! Raw pings to energyscapes and masked sums.
 //!
 //! In: a [`PingSet`]. Out: an [`Image`]. [`Imager::open`] chooses the backend and says why; [`Imager::image`] judges the
-//! channels, lets the backend image, and does a ping again on the CPU when the GPU fails it. Nothing numeric is here: what
-//! is computed stands in [`plan`], how in the twins [`cpu`] and `gpu`.
+//! channels, lets the backend image, and does a ping again on the CPU when the GPU fails it; [`Imager::cross_check`] compares the
+//! two now and then. When a GPU is trusted stands in [`quarantine`], what is computed in [`plan`], how in the twins [`cpu`]
+//! and `gpu`.
 
 pub mod backend;
 pub mod channels;
 pub mod cpu;
 pub mod direct_path;
+pub mod drill;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod guard;
 pub mod params;
 pub mod plan;
+pub mod quarantine;
 pub mod steering;
+mod workshop;
 
 use crate::signal::{MaskTable, PingSet};
+use crate::time::SystemClock;
 use backend::{Backend, BackendError, BackendKind, BackendReport, Image};
 use channels::ChannelFinding;
 use cpu::CpuBackend;
+use guard::GpuGuard;
+pub use guard::SharedClock;
 use params::Prefer;
 use plan::ImagingPlan;
+use quarantine::Trust;
 use std::sync::Arc;
+use std::time::Duration;
+pub use workshop::Opener;
 
 /// Largest relative L2 distance between the energyscapes of the two backends: the accuracy that either owes to the
 /// textbook (specification, section 3).
 pub const AGREEMENT_MAX: f64 = 1e-4;
 
-/// Pings in a row that the GPU may fail before the CPU takes over for good.
-pub const GPU_FAILURES_MAX: u32 = 3;
+/// Pings in a row that the GPU may fail before it is let go of.
+pub const GPU_FAILURES_MAX: u32 = quarantine::FAILURES_MAX;
+/// Every so many ping sets an image of the GPU is compared with the CPU's: within 5 s at 10 ping sets a second.
+pub const CHECK_EVERY: u32 = 50;
 /// Time the GPU has for a ping set unless configured: `gpu_deadline_ms` of section 7 of the specification.
 pub const GPU_DEADLINE_DEFAULT_MS: u64 = 60;
 
@@ -50,13 +63,25 @@ impl Default for ImagerOptions {
 pub struct Imager {
     plan: Arc<ImagingPlan>,
     cpu: CpuBackend,
-    gpu: Option<Box<dyn Backend>>,
+    gpu: Option<GpuGuard>,
     image: Image,
+    /// What an image is compared with.
+    other: Image,
     report: BackendReport,
-    failures_in_a_row: u32,
-    redone_count: u64,
-    last_failure: Option<BackendError>,
+    /// Ping sets since an image of the GPU was last compared with the CPU's.
+    unchecked: u32,
     stage_times_ns: [u64; 5],
+}
+
+/// What [`Imager::cross_check`] found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CrossCheck {
+    /// There was nothing to compare.
+    NotDue,
+    /// The image that was used equals the CPU's, or one that was not used could not be made or was compared.
+    Passed,
+    /// The image that was used is not the CPU's: what was decided from it, and from those before, may be wrong.
+    Mismatch,
 }
 
 impl Imager {
@@ -72,22 +97,29 @@ impl Imager {
         prefer: Prefer,
         options: ImagerOptions,
     ) -> Result<Imager, BackendError> {
-        let open_gpu = |allow_software: bool| {
-            open_gpu(Arc::clone(&plan), Arc::clone(&masks), allow_software, options.gpu_deadline_ms)
+        let opener = |allow_software: bool| -> Opener {
+            let (plan, masks) = (Arc::clone(&plan), Arc::clone(&masks));
+            Box::new(move || open_gpu(Arc::clone(&plan), Arc::clone(&masks), allow_software, options.gpu_deadline_ms))
         };
-        let (gpu, reason) = match prefer {
-            Prefer::Cpu => (None, "the configuration asks for the CPU".to_owned()),
-            Prefer::Gpu => (Some(open_gpu(true)?), String::new()),
-            Prefer::Auto => match open_gpu(false) {
-                Ok(gpu) => (Some(gpu), String::new()),
-                Err(error) => (None, format!("the CPU stands in: {error}")),
-            },
+        let mut opener = match prefer {
+            Prefer::Cpu => {
+                return Self::with_backends(plan, masks, None, options.threads, "the configuration asks for the CPU");
+            }
+            Prefer::Gpu => opener(true),
+            Prefer::Auto => opener(false),
         };
-        Self::with_backends(plan, masks, gpu, options.threads, &reason)
+        match opener() {
+            Ok(gpu) => Self::with_renewal(plan, masks, gpu, opener, Arc::new(SystemClock), options.threads),
+            Err(error) if prefer == Prefer::Gpu => Err(error),
+            Err(error) => {
+                let reason = format!("the CPU stands in: {error}");
+                Self::with_backends(plan, masks, None, options.threads, &reason)
+            }
+        }
     }
 
-    /// As [`Imager::open`], with a GPU backend made elsewhere, or none; tests hand in one that fails. `cpu_reason` says why there is
-    /// none.
+    /// As [`Imager::open`], with a GPU backend made elsewhere, or none; tests hand in one that fails. When it is lost it is not opened
+    /// anew. `cpu_reason` says why there is none.
     ///
     /// # Errors
     /// As [`Imager::open`].
@@ -98,27 +130,45 @@ impl Imager {
         threads: Option<usize>,
         cpu_reason: &str,
     ) -> Result<Imager, BackendError> {
-        let cpu = CpuBackend::open(Arc::clone(&plan), Arc::clone(&masks), threads)?;
-        let report = match &gpu {
-            Some(gpu) => gpu.report().clone(),
-            None => BackendReport { reason: cpu_reason.to_owned(), ..cpu.report().clone() },
-        };
-        let image = Image::empty(&plan, &masks);
-        Ok(Self {
-            plan,
-            cpu,
-            gpu,
-            image,
-            report,
-            failures_in_a_row: 0,
-            redone_count: 0,
-            last_failure: None,
-            stage_times_ns: [0; 5],
-        })
+        let guard = gpu.map(|gpu| guarded(gpu, None, Arc::new(SystemClock))).transpose()?;
+        Self::assemble(plan, masks, guard, threads, cpu_reason)
     }
 
-    /// Images a ping set: judges the channels of every ping present, then images on the GPU if there is one. A ping set that the GPU
-    /// fails is done again on the CPU; `backend` of the result says which it was.
+    /// As [`Imager::open`], with a GPU backend made elsewhere and what opens new ones when it is lost. `clock` says when.
+    ///
+    /// # Errors
+    /// As [`Imager::open`].
+    pub fn with_renewal(
+        plan: Arc<ImagingPlan>,
+        masks: Arc<MaskTable>,
+        gpu: Box<dyn Backend>,
+        opener: Opener,
+        clock: SharedClock,
+        threads: Option<usize>,
+    ) -> Result<Imager, BackendError> {
+        let guard = guarded(gpu, Some(opener), clock)?;
+        Self::assemble(plan, masks, Some(guard), threads, "")
+    }
+
+    fn assemble(
+        plan: Arc<ImagingPlan>,
+        masks: Arc<MaskTable>,
+        gpu: Option<(GpuGuard, BackendReport)>,
+        threads: Option<usize>,
+        cpu_reason: &str,
+    ) -> Result<Imager, BackendError> {
+        let cpu = CpuBackend::open(Arc::clone(&plan), Arc::clone(&masks), threads)?;
+        let (gpu, report) = match gpu {
+            Some((guard, report)) => (Some(guard), report),
+            None => (None, BackendReport { reason: cpu_reason.to_owned(), ..cpu.report().clone() }),
+        };
+        let image = Image::empty(&plan, &masks);
+        Ok(Self { plan, cpu, gpu, other: image.clone(), image, report, unchecked: 0, stage_times_ns: [0; 5] })
+    }
+
+    /// Images a ping set: judges the channels of every ping present, then images on the GPU if there is one that is trusted. A ping
+    /// set that the GPU fails is done again on the CPU; `backend` of the result says which it was. Waits for no device but within
+    /// the GPU's deadline: what is lost is opened anew elsewhere.
     ///
     /// # Errors
     /// [`BackendError::PingShape`] for pings that do not fit the plan; [`BackendError::Cpu`] when the CPU fails too.
@@ -126,14 +176,14 @@ impl Imager {
         cpu::check_pings(&self.plan, pings)?;
         self.cpu.judge(pings, &mut self.image.channels)?;
         if let Some(gpu) = &mut self.gpu {
-            match gpu.image(pings, &mut self.image) {
-                Ok(()) => {
-                    self.failures_in_a_row = 0;
-                    self.stage_times_ns = gpu.stage_times_ns();
-                    return Ok(&self.image);
-                }
-                Err(error) => self.gpu_failed(error),
+            gpu.look_after();
+            let imaged = gpu.image(pings, &mut self.image);
+            self.unchecked = self.unchecked.saturating_add(1);
+            if imaged {
+                self.stage_times_ns = gpu.stage_times_ns();
+                return Ok(&self.image);
             }
+            self.pass_news_on();
         }
         self.cpu.image(pings, &mut self.image)?;
         self.stage_times_ns = self.cpu.stage_times_ns();
@@ -147,39 +197,89 @@ impl Imager {
         }
     }
 
-    /// Images `pings` on the chosen backend and on the CPU, and says whether the energyscapes agree within
-    /// [`AGREEMENT_MAX`]; `None` when the GPU failed this set, so that there is nothing to compare yet. True without a
-    /// GPU. Allocates: for the self-test, not for every ping.
+    /// To be called with the pings of the last image when its command is out: every [`CHECK_EVERY`] sets the CPU images too what
+    /// the GPU imaged, and a GPU that was opened anew images what the CPU did; the images are compared. What is found wrong is
+    /// not used again. Takes as long as the other backend takes, allocates nothing, does nothing without a GPU.
+    pub fn cross_check(&mut self, pings: &PingSet) -> CrossCheck {
+        let Some(gpu) = &mut self.gpu else { return CrossCheck::NotDue };
+        if pings.sequence != self.image.sequence || pings.present != self.image.imaged {
+            return CrossCheck::NotDue;
+        }
+        let found = match (gpu.trust(), self.image.backend) {
+            (Trust::Trusted, BackendKind::Gpu) if self.unchecked >= CHECK_EVERY => match self.distance_on_cpu(pings) {
+                Ok(distance) => self.compared(distance),
+                // The next set will do.
+                Err(_) => CrossCheck::NotDue,
+            },
+            (Trust::OnProbation, BackendKind::Cpu) => {
+                std::mem::swap(&mut self.image.channels, &mut self.other.channels);
+                let imaged = gpu.image_on_probation(pings, &mut self.other);
+                std::mem::swap(&mut self.image.channels, &mut self.other.channels);
+                if imaged {
+                    self.compared(distance(&self.other, &self.image));
+                }
+                // Nothing was decided from it.
+                CrossCheck::Passed
+            }
+            _ => CrossCheck::NotDue,
+        };
+        self.pass_news_on();
+        found
+    }
+
+    /// Images `pings` on the chosen backend and on the CPU, and says whether the images agree within [`AGREEMENT_MAX`]; `None`
+    /// when the GPU failed this set, so that there is nothing to compare yet. True when the CPU is all there is.
     ///
     /// # Errors
     /// As [`Imager::image`].
     pub fn verify(&mut self, pings: &PingSet) -> Result<Option<bool>, BackendError> {
         self.image(pings)?;
+        let Some(gpu) = &self.gpu else { return Ok(Some(true)) };
         if self.image.backend == BackendKind::Cpu {
-            return Ok(self.gpu.is_none().then_some(true));
+            // While the GPU rests there is only the CPU to trust.
+            return Ok((gpu.trust() != Trust::Trusted).then_some(true));
         }
-        let mut reference = self.image.clone();
-        self.cpu.image(pings, &mut reference)?;
-        let pairs = self.image.energyscapes.iter().zip(&reference.energyscapes);
-        Ok(Some(pairs.zip(self.image.imaged).filter(|(_, imaged)| *imaged).all(|((image, reference), _)| {
-            // Written so that a NaN difference is a disagreement.
-            relative_l2(&image.values, &reference.values) <= AGREEMENT_MAX
-        })))
+        let distance = self.distance_on_cpu(pings)?;
+        let found = self.compared(distance);
+        self.pass_news_on();
+        Ok(Some(found == CrossCheck::Passed))
     }
 
-    /// Notes a failure of the GPU; gives it up when it is lost or has failed too often.
-    fn gpu_failed(&mut self, error: BackendError) {
-        self.redone_count += 1;
-        self.failures_in_a_row += 1;
-        log::warn!("ping set done again on the CPU: {error}");
-        if matches!(error, BackendError::Lost(_)) || self.failures_in_a_row >= GPU_FAILURES_MAX {
-            let reason =
-                format!("the CPU took over for good after {} failed ping sets: {error}", self.failures_in_a_row);
-            log::warn!("{reason}");
-            self.gpu = None;
-            self.report = BackendReport { reason, ..self.cpu.report().clone() };
+    /// Images `pings` on the CPU beside the last image and says how far that is from it.
+    fn distance_on_cpu(&mut self, pings: &PingSet) -> Result<f64, BackendError> {
+        std::mem::swap(&mut self.image.channels, &mut self.other.channels);
+        let imaged = self.cpu.image(pings, &mut self.other);
+        std::mem::swap(&mut self.image.channels, &mut self.other.channels);
+        imaged.map(|()| distance(&self.image, &self.other))
+    }
+
+    fn compared(&mut self, distance: f64) -> CrossCheck {
+        self.unchecked = 0;
+        // Written so that a NaN distance is a disagreement.
+        let agrees = distance <= AGREEMENT_MAX;
+        if let Some(gpu) = &mut self.gpu {
+            gpu.compared(distance, agrees);
         }
-        self.last_failure = Some(error);
+        if agrees { CrossCheck::Passed } else { CrossCheck::Mismatch }
+    }
+
+    /// Tells, once, who images from now on.
+    fn pass_news_on(&mut self) {
+        let Some(news) = self.gpu.as_mut().and_then(|gpu| gpu.news.take()) else { return };
+        self.report = match news.kind {
+            BackendKind::Gpu => news,
+            BackendKind::Cpu => BackendReport { reason: news.reason, ..self.cpu.report().clone() },
+        };
+        let BackendReport { kind, adapter, reason, .. } = &self.report;
+        log::warn!("imaging on {} ({adapter}): {reason}", kind.as_str());
+    }
+
+    /// Waits until a device that is being opened anew is open, or could not be. For simulations, whose time does not pass meanwhile; a
+    /// robot's path of pings never waits for a device.
+    pub fn wait_for_device(&self, limit: Duration) {
+        if let Some(gpu) = &self.gpu {
+            gpu.wait_for_device(limit);
+        }
     }
 
     /// The last image made, as [`Imager::image`] returned it.
@@ -206,16 +306,28 @@ impl Imager {
         &self.report
     }
 
-    /// Ping sets that the GPU failed and the CPU did again, since open.
+    /// Ping sets that the GPU failed, since open. The CPU did again those of them that were used.
     #[must_use]
     pub fn redone_count(&self) -> u64 {
-        self.redone_count
+        self.gpu.as_ref().map_or(0, |gpu| gpu.failed_count)
+    }
+
+    /// GPU devices that were let go of, since open: lost, failed too often, or wrong.
+    #[must_use]
+    pub fn loss_count(&self) -> u64 {
+        self.gpu.as_ref().map_or(0, |gpu| gpu.lost_count)
+    }
+
+    /// How far the GPU is trusted that was chosen at open; `None` when none was.
+    #[must_use]
+    pub fn trust(&self) -> Option<Trust> {
+        self.gpu.as_ref().map(GpuGuard::trust)
     }
 
     /// The last failure of the GPU, if there was one.
     #[must_use]
     pub fn last_failure(&self) -> Option<&BackendError> {
-        self.last_failure.as_ref()
+        self.gpu.as_ref().and_then(|gpu| gpu.last_failure.as_ref())
     }
 
     /// Time of each stage of the last ping set, as [`Backend::stage_times_ns`].
@@ -224,19 +336,48 @@ impl Imager {
         self.stage_times_ns
     }
 
-    /// Whether a ping set goes to the GPU first.
+    /// Which backend images now.
     #[must_use]
     pub fn kind(&self) -> BackendKind {
         self.report.kind
     }
 }
 
-/// |a - b| / |b|, zero when both are silent.
-fn relative_l2(a: &[f32], b: &[f32]) -> f64 {
+fn guarded(
+    gpu: Box<dyn Backend>,
+    opener: Option<Opener>,
+    clock: SharedClock,
+) -> Result<(GpuGuard, BackendReport), BackendError> {
+    let report = gpu.report().clone();
+    Ok((GpuGuard::new(gpu, opener, clock)?, report))
+}
+
+/// How far an image is from the reference: the largest relative L2 distance of any sensor's energyscape and of the rows' sums. NaN
+/// when either holds one.
+fn distance(image: &Image, reference: &Image) -> f64 {
+    let scapes = image.energyscapes.iter().zip(&reference.energyscapes).zip(reference.imaged);
+    let of_scapes = scapes
+        .filter(|(_, imaged)| *imaged)
+        .map(|((image, reference), _)| relative_l2(image.values.iter().copied().zip(reference.values.iter().copied())));
+    let rows = || image.sums.iter().zip(&reference.sums);
+    let sums = [
+        relative_l2(rows().map(|(a, b)| (a.energy, b.energy))),
+        relative_l2(rows().map(|(a, b)| (a.flow, b.flow))),
+        relative_l2(rows().map(|(a, b)| (a.peak, b.peak))),
+    ];
+    // Not `f64::max`, which ignores NaN.
+    of_scapes.chain(sums).fold(0.0, |worst, next| if next <= worst { worst } else { next })
+}
+
+/// |a - b| / |b|, zero when all are equal.
+fn relative_l2(pairs: impl Iterator<Item = (f32, f32)>) -> f64 {
     let (mut distance, mut norm) = (0.0, 0.0);
-    for (a, b) in a.iter().zip(b) {
-        distance += (f64::from(*a) - f64::from(*b)).powi(2);
-        norm += f64::from(*b).powi(2);
+    for (a, b) in pairs {
+        // Equal infinities are equal.
+        if a.to_bits() != b.to_bits() {
+            distance += (f64::from(a) - f64::from(b)).powi(2);
+        }
+        norm += f64::from(b).powi(2);
     }
     if distance == 0.0 { 0.0 } else { (distance / norm).sqrt() }
 }
@@ -258,7 +399,7 @@ fn open_gpu(
     allow_software: bool,
     deadline_ms: u64,
 ) -> Result<Box<dyn Backend>, BackendError> {
-    let mut gpu = gpu::GpuBackend::open(plan, masks, allow_software, deadline_ms)?;
+    let mut gpu = gpu::GpuBackend::open_caught(plan, masks, allow_software, deadline_ms)?;
     gpu.set_reason(if allow_software { "a GPU was asked for" } else { "it is the best hardware GPU here" }.to_owned());
     Ok(Box::new(gpu))
 }

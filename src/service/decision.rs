@@ -175,6 +175,10 @@ impl DecisionLoop {
             Ok(outcome) => {
                 self.reporter.note(&outcome.output);
                 self.publish(&outcome, emitted_at);
+                if let Some(output) = self.pipeline.after_command(&delivered.pings, SystemClock.now()) {
+                    self.reporter.note(&output);
+                    self.stand_still(&output);
+                }
             }
             Err(error) => {
                 log::error!("ping set {} cannot be imaged: {error}", delivered.pings.sequence);

@@ -112,7 +112,7 @@ impl Reporter {
             command_count: self.command_count,
             dropped_count: self.dropped_count,
             late_count: self.late_count,
-            gpu_loss_count: imager.redone_count(),
+            gpu_loss_count: imager.loss_count(),
             stop_count: self.stop_count,
             rejected_count: self.rejected_count,
             gap_count: self.gap_count,

@@ -10,6 +10,7 @@
 
 pub mod acquisition;
 pub mod decision;
+mod drive;
 pub mod handoff;
 pub mod health;
 pub mod latency;
@@ -17,6 +18,7 @@ pub mod pipeline;
 pub mod plots;
 pub mod proving;
 pub mod regions;
+pub mod soak;
 pub mod supervisor;
 pub mod sweep;
 pub mod trial;

@@ -6,10 +6,10 @@ use crate::config::Config;
 use crate::control::Controller;
 use crate::flow::MaskSet;
 use crate::geometry::Pose2;
-use crate::imaging::Imager;
 use crate::imaging::backend::{BackendError, BackendKind, Image};
 use crate::imaging::channels::ChannelReport;
 use crate::imaging::direct_path::{Calibration, ChannelMap, DirectPath, HEARD_MIN};
+use crate::imaging::{CrossCheck, Imager};
 use crate::safety::daemon::CLIPPED_CHANNELS_MAX;
 use crate::safety::{
     Daemon, DaemonEvent, DaemonOutput, DaemonState, GroupFindings, Plausibility, SensorFindings, plausibility,
@@ -195,10 +195,18 @@ impl Pipeline {
         self.tell(event, now);
     }
 
-    /// Whether the chosen backend is the GPU and the CPU had to redo this set. Also true while the GPU is given up for good.
+    /// What may wait until the command of `pings`, the set processed last, is out: the backends are compared now and then. An image
+    /// that was used and is wrong is a fault.
+    pub fn after_command(&mut self, pings: &PingSet, now: Stamp) -> Option<DaemonOutput> {
+        let found = self.imager.cross_check(pings);
+        (found == CrossCheck::Mismatch).then(|| self.tell(DaemonEvent::BackendMismatch, now))
+    }
+
+    /// Whether a GPU was chosen and the CPU imaged this set. So a GPU that rests keeps the state DEGRADED, and so does one that
+    /// was given up: a device that failed five times for no known reason has no reserve behind it any more and wants a look.
+    /// Whoever has looked starts the daemon again, on the CPU if need be; that robot is as fast as any.
     fn fell_back_now(&mut self) -> bool {
-        let chosen_gpu = self.imager.report().kind == BackendKind::Gpu || self.fell_back;
-        self.fell_back = chosen_gpu && self.imager.last_image().backend == BackendKind::Cpu;
+        self.fell_back = self.imager.trust().is_some() && self.imager.last_image().backend == BackendKind::Cpu;
         self.fell_back
     }
 

@@ -2,35 +2,24 @@
 //! with a clock of their own, faster than real time and bit-reproducible.
 //!
 //! Goes in: a robot ([`TrialRig`]), a world, and what is to go wrong ([`TrialOptions`]). Comes out: [`Trial`], the score and
-//! the track of the drive. The code that decides is the daemon's own ([`super::pipeline`], [`crate::safety::Gate`]); only
-//! shared memory and threads are left out, and a fixed latency stands for them. Reads no clock.
+//! the track of the drive. What happens in which order is [`super::drive`]'s. Reads no clock.
 
-use super::pipeline::Pipeline;
+use super::ServiceError;
+use super::drive::Drive;
 use super::wiring::{self, SensingSetup};
-use super::{ServiceError, simulator};
 use crate::config::Config;
 use crate::flow::MaskSet;
 use crate::geometry::Pose2;
 use crate::imaging::backend::{BackendError, BackendReport};
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
-use crate::safety::{CommandSample, DaemonEvent, Gate, GateEvent, GateState, OperatorEvent};
-use crate::signal::{Cause, Cues, DaemonState, Energyscape, LayerName, PingSet, SENSORS_MAX, Velocity};
-use crate::sim::{RunScore, SimParams, Simulator, Stay, World};
-use crate::time::Stamp;
-use std::collections::VecDeque;
+use crate::safety::GateState;
+use crate::signal::{Cause, Cues, DaemonState, Energyscape, LayerName, SENSORS_MAX, Velocity};
+use crate::sim::{RunScore, SimParams, Stay, World};
 use std::sync::Arc;
-use std::time::Duration;
 
-/// The controller's tick.
-const TICK_NS: u64 = 20_000_000;
-/// From the last sample of a ping to the command at the controller: what `demo` measures at its slowest, rounded up.
-const PROCESSING_NS: u64 = 20_000_000;
 /// Ping sets that the self-test and arming may take.
 const START_SETS_MAX: u32 = 100;
-/// Start of the simulated clock: not zero, which would make every age of a missing stamp look small.
-const CLOCK_START_NS: u64 = 1_000_000_000_000;
-const EPOCH: u64 = 1;
 /// A GPU that takes longer than this for a ping set hangs.
 const GPU_PATIENCE_MS: u64 = 10_000;
 /// A mover within this distance of the footprint counts as in the way.
@@ -185,10 +174,10 @@ impl TrialRig {
         options: &TrialOptions,
         watch: &mut dyn FnMut(&Moment) -> bool,
     ) -> Result<Trial, ServiceError> {
-        let mut drive = Drive::new(self, world, options)?;
-        drive.arm(options)?;
-        while !drive.simulator.finished() && drive.step(options, watch)? {}
-        Ok(drive.finish(options.seed))
+        let mut run = Run::new(self, world, options)?;
+        run.arm(options)?;
+        while !run.drive.simulator.finished() && run.step(options, watch)? {}
+        Ok(run.finish(options.seed))
     }
 }
 
@@ -200,69 +189,41 @@ fn open_imager(setup: &SensingSetup, masks: &MaskSet, prefer: Prefer) -> Result<
 }
 
 /// A trial under way.
-struct Drive {
-    simulator: Simulator,
-    pings: PingSet,
-    pipeline: Pipeline,
-    gate: Gate,
-    now_ns: u64,
-    period_ns: u64,
-    recording_ns: u64,
-    sequence: u64,
-    /// Commands on their way to the gate, and when they arrive.
-    under_way: VecDeque<(u64, CommandSample)>,
+struct Run {
+    drive: Drive,
     track: Vec<TrackPoint>,
     unhindered: Stay,
     turns: TurnCounter,
 }
 
-impl Drive {
+impl Run {
     fn new(rig: &TrialRig, world: World, options: &TrialOptions) -> Result<Self, ServiceError> {
-        let (config, setup) = (&rig.config, &rig.setup);
-        let simulator = simulator(config, setup, world, options.acoustics, options.seed)?;
-        let masks = rig.masks.clone();
-        let imager = open_imager(setup, &masks, options.prefer)?;
-        let start = stamp(CLOCK_START_NS);
-        // A tick is 20 ms; so is every moment of the trial a multiple of it.
-        let period_ns = (1e9 / config.control.rate_hz / TICK_NS as f64).round().max(1.0) as u64 * TICK_NS;
-        Ok(Self {
-            pings: simulator.empty_ping_set(),
-            pipeline: Pipeline::new(config, setup.clone(), masks, imager, EPOCH, start),
-            gate: Gate::new(config.gate_params(), start),
-            now_ns: CLOCK_START_NS,
-            period_ns,
-            recording_ns: Duration::from_secs_f64(setup.recording.duration_s()).as_nanos() as u64,
-            sequence: 0,
-            under_way: VecDeque::new(),
-            track: Vec::new(),
-            unhindered: Stay::new(simulator.pose().position_m()),
-            turns: TurnCounter::default(),
-            simulator,
-        })
+        let imager = open_imager(&rig.setup, &rig.masks, options.prefer)?;
+        let drive = Drive::new(rig, world, options.acoustics, options.seed, imager)?;
+        let unhindered = Stay::new(drive.simulator.pose().position_m());
+        Ok(Self { drive, track: Vec::new(), unhindered, turns: TurnCounter::default() })
     }
 
     /// Lets the daemon test itself and arms daemon and gate, before the world's time begins.
     fn arm(&mut self, options: &TrialOptions) -> Result<(), ServiceError> {
-        self.pipeline.tell(DaemonEvent::Started, stamp(self.now_ns));
         for _ in 0..START_SETS_MAX {
-            if self.gate.state() == GateState::Track {
+            let drive = &mut self.drive;
+            if drive.gate.state() == GateState::Track {
                 return Ok(());
             }
-            let ready = self.pipeline.daemon().state() == DaemonState::Ready;
-            let waits = self.gate.armed_epoch().is_none();
-            if ready || (waits && self.pipeline.daemon().state().allows_motion()) {
-                let arm = OperatorEvent::Arm { epoch: EPOCH, requested_at_ns: self.now_ns };
-                self.pipeline.tell(DaemonEvent::Operator(arm), stamp(self.now_ns));
-                self.gate = self.gate.step(GateEvent::Operator(arm), stamp(self.now_ns)).0;
+            let ready = drive.pipeline.daemon().state() == DaemonState::Ready;
+            let waits = drive.gate.armed_epoch().is_none();
+            if ready || (waits && drive.pipeline.daemon().state().allows_motion()) {
+                drive.arm();
             }
             self.period(options, Velocity::ZERO, false, &mut |_| true)?;
         }
-        let reason = format!("the simulated robot could not be armed: {}", self.pipeline.daemon().reason());
+        let reason = format!("the simulated robot could not be armed: {}", self.drive.pipeline.daemon().reason());
         Err(ServiceError::Internal(reason))
     }
 
     fn step(&mut self, options: &TrialOptions, watch: &mut dyn FnMut(&Moment) -> bool) -> Result<bool, ServiceError> {
-        let wanted = self.simulator.wanted_velocity();
+        let wanted = self.drive.simulator.wanted_velocity();
         self.period(options, wanted, true, watch)
     }
 
@@ -274,41 +235,16 @@ impl Drive {
         moves: bool,
         watch: &mut dyn FnMut(&Moment) -> bool,
     ) -> Result<bool, ServiceError> {
-        let emitted_ns = self.now_ns;
-        let time_s = self.simulator.time_s();
-        self.simulator.ping_set(stamp(emitted_ns), &mut self.pings);
+        let drive = &mut self.drive;
+        let time_s = drive.simulator.time_s();
+        drive.hear();
         for loss in options.losses.iter().filter(|loss| time_s >= loss.at_s && loss.sensor_index < SENSORS_MAX) {
-            self.pings.present[loss.sensor_index] = false;
+            drive.pings.present[loss.sensor_index] = false;
         }
-        let pose = self.simulator.odometry().pose;
-        let latency_ns = self.recording_ns + PROCESSING_NS;
-        let command_ns = emitted_ns + latency_ns.div_ceil(TICK_NS) * TICK_NS;
-        let outcome = self.pipeline.process(stamp(emitted_ns + latency_ns), &mut self.pings, wanted, Some(pose))?;
-        self.sequence += 1;
-        let command = CommandSample {
-            schema_matches: true,
-            checksum_matches: true,
-            epoch: EPOCH,
-            publisher: (1, 1),
-            sequence: self.sequence,
-            captured_at_ns: emitted_ns,
-            valid_until_ns: u64::MAX,
-            velocity: outcome.velocity,
-            daemon_state: Some(outcome.output.state),
-        };
-        self.under_way.push_back((command_ns, command));
-        let before = (self.simulator.pose(), self.simulator.velocity());
-        for _ in 0..self.period_ns / TICK_NS {
-            while let Some((_, command)) = self.under_way.front().copied().filter(|(at_ns, _)| *at_ns <= self.now_ns) {
-                self.under_way.pop_front();
-                self.gate = self.gate.step(GateEvent::Command(command), stamp(self.now_ns)).0;
-            }
-            let (gate, output) = self.gate.step(GateEvent::Tick, stamp(self.now_ns));
-            self.gate = gate;
-            self.now_ns += TICK_NS;
-            if moves {
-                self.simulator.step(output.velocity, TICK_NS as f64 * 1e-9);
-            }
+        let outcome = drive.decide(wanted)?;
+        let before = (drive.simulator.pose(), drive.simulator.velocity());
+        for _ in 0..drive.ticks() {
+            drive.tick(moves);
         }
         if !moves {
             return Ok(true);
@@ -323,19 +259,20 @@ impl Drive {
             cause: outcome.decision.cause,
             stuck: outcome.decision.stuck,
             state: outcome.output.state,
-            gate: self.gate.state(),
-            clearance_m: self.simulator.clearance_m(),
-            mover_clearance_m: self.simulator.mover_clearance_m(),
+            gate: drive.gate.state(),
+            clearance_m: drive.simulator.clearance_m(),
+            mover_clearance_m: drive.simulator.mover_clearance_m(),
         };
         let unhindered = wanted != Velocity::ZERO && !(point.mover_clearance_m < MOVER_NEAR_M);
         self.unhindered.note(time_s, point.pose.position_m(), unhindered);
         self.turns.note(&point);
         self.track.push(point);
-        Ok(watch(&Moment { point: &point, cues: &outcome.cues, energyscapes: &self.pipeline.image().energyscapes }))
+        let energyscapes = &self.drive.pipeline.image().energyscapes;
+        Ok(watch(&Moment { point: &point, cues: &outcome.cues, energyscapes }))
     }
 
     fn finish(self, seed: u64) -> Trial {
-        let score = self.simulator.score();
+        let score = self.drive.simulator.score();
         Trial {
             seed,
             longest_stuck_unhindered_s: self.unhindered.longest_s(),
@@ -344,10 +281,6 @@ impl Drive {
             track: self.track,
         }
     }
-}
-
-fn stamp(boottime_ns: u64) -> Stamp {
-    Stamp { boottime_ns, wall_ns: boottime_ns }
 }
 
 /// Counts changes of the turn's sign while walls or corridors are followed.

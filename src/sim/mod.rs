@@ -12,6 +12,7 @@
 //! ```
 
 mod echo;
+mod faults;
 mod guidance;
 mod obstacles;
 mod params;
@@ -19,6 +20,7 @@ mod robot;
 mod score;
 mod world;
 
+pub use faults::{Fault, Faults};
 pub use params::{Air, Bursts, JAMMERS_MAX, Jammer, MotionLimits, RobotParams, SimError, SimParams};
 pub use robot::Odometry;
 pub use score::{RunScore, Stay};

@@ -88,6 +88,20 @@ impl GpuBackend {
         Self::open_within(plan, masks, allow_software, deadline_ms, BINDING_BYTES_MAX)
     }
 
+    /// As [`GpuBackend::open`]; a driver that panics while it opens a device has lost it.
+    ///
+    /// # Errors
+    /// As [`GpuBackend::open`].
+    pub fn open_caught(
+        plan: Arc<ImagingPlan>,
+        masks: Arc<MaskTable>,
+        allow_software: bool,
+        deadline_ms: u64,
+    ) -> Result<GpuBackend, BackendError> {
+        readback::catching(|| Self::open(plan, masks, allow_software, deadline_ms))
+            .unwrap_or_else(|message| Err(BackendError::Lost(message)))
+    }
+
     /// As [`GpuBackend::open`], with no binding larger than `binding_bytes`: tests cut small work as large work is cut.
     ///
     /// # Errors
@@ -171,6 +185,13 @@ impl GpuBackend {
     /// Destroys the device, as a driver that fails would: every later call returns [`BackendError::Lost`]. For tests and drills.
     pub fn destroy_device(&self) {
         self.gpu.device.destroy();
+    }
+
+    /// What destroys the device at any moment, from any thread, as [`GpuBackend::destroy_device`] does.
+    #[must_use]
+    pub fn destroyer(&self) -> Box<dyn Fn() + Send> {
+        let device = self.gpu.device.clone();
+        Box::new(move || device.destroy())
     }
 
     fn warm_up(&mut self) -> Result<(), BackendError> {

@@ -137,7 +137,7 @@ pub(super) fn poison_buffer(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
 }
 
 /// Runs a call into wgpu that may panic; the panic's message is the error.
-fn catching<T>(call: impl FnOnce() -> T) -> Result<T, String> {
+pub(super) fn catching<T>(call: impl FnOnce() -> T) -> Result<T, String> {
     POLLING.set(true);
     let result = std::panic::catch_unwind(AssertUnwindSafe(|| crate::life::panic::contained(call)));
     POLLING.set(false);

@@ -82,6 +82,29 @@ fn a_skipped_write_of_the_image_or_of_the_sums_is_noticed() {
     }
 }
 
+/// A device may hand out memory that was cleared: what stands in the result before must not matter.
+#[test]
+fn work_left_out_never_passes_whether_the_result_held_poison_or_zeros_before() {
+    let Some((mut backend, mut pings, mut image)) = opened() else { return };
+    for poison in [readback::POISON, 0] {
+        let words = vec![poison; backend.poison.size() as usize / 4];
+        backend.gpu.queue.write_buffer(&backend.poison, 0, bytemuck::cast_slice(&words));
+        for stage in [Stage::Envelope, Stage::MaskedEnergy] {
+            let index = backend.program.steps.iter().rposition(|step| step.stage == stage).unwrap();
+            let step = backend.program.steps.remove(index);
+            pings.sequence += 1;
+            let imaged = backend.image(&pings, &mut image);
+            let error = imaged.and_then(|()| crate::imaging::guard::check(&pings, &image)).unwrap_err().to_string();
+            let seen = ["never written", "bears the mark", "all zeros"].iter().any(|words| error.contains(words));
+            assert!(seen, "{stage:?} left out, {poison:#x} before: {error}");
+            backend.program.steps.insert(index, step);
+        }
+        pings.sequence += 1;
+        backend.image(&pings, &mut image).unwrap();
+        crate::imaging::guard::check(&pings, &image).unwrap();
+    }
+}
+
 #[test]
 fn an_old_result_does_not_pass_for_a_new_one() {
     let Some((mut backend, mut pings, mut image)) = opened() else { return };
