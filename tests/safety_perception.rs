@@ -161,8 +161,8 @@ fn clipping_and_jammers_are_a_near_obstacle_and_forgotten_within_five_sets() {
         rig.drive(&good);
         let sensors = 1 + run % 7;
         let arrival_ns = rig.now_ns + RECORDING_NS;
-        for index in 0..6 {
-            let outcome = rig.step(&good[index], |set| overload(set, sensors, overloads[run % 4]));
+        for (index, set) in good.iter().enumerate() {
+            let outcome = rig.step(set, |set| overload(set, sensors, overloads[run % 4]));
             let found = (outcome.output.state, outcome.output.reason);
             let findings = outcome.findings;
             assert_eq!(

@@ -14,6 +14,7 @@
 //! What the direct path cannot tell: a mirror image of the array in a plane through the emitter, and two microphones that are
 //! equally far from it.
 
+mod channel;
 mod pattern;
 mod sensor;
 mod start;

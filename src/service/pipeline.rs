@@ -178,7 +178,7 @@ impl Pipeline {
                 // NaN is not heard.
                 direct_path: heard.correlation >= HEARD_MIN,
                 channel_map_fits: heard.map != ChannelMap::Wrong,
-                channel_map_doubted: matches!(heard.map, ChannelMap::Unknown | ChannelMap::Doubted),
+                channel_map_doubted: heard.map != ChannelMap::Fits,
                 ..SensorFindings::GOOD
             };
         }

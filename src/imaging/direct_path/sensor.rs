@@ -4,6 +4,7 @@
 //! where it should be (a hundredth of a period is 0.1 mm), by looking through all lags where it is not. A phase that all
 //! channels share is a property of the transducers; whether all are late is told by the envelope.
 
+use super::channel::{Channel, QUIET_MARGIN, Told, is_alive, is_flat};
 use super::pattern::{self, Arrival, Calibration};
 use super::start;
 use super::template::{Correlation, Template};
@@ -12,8 +13,7 @@ use crate::imaging::channels::ChannelFinding;
 use crate::imaging::plan::ImagingPlan;
 use crate::sensor::SensorSetup;
 use crate::signal::{SampleFormat, Samples};
-use nalgebra::Vector3;
-use rustfft::num_complex::Complex;
+use nalgebra::{Complex, Vector3};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
@@ -38,9 +38,6 @@ const STRENGTH: std::ops::Range<f32> = 0.2..5.0;
 const NOISY: f32 = 25.0;
 /// Noise power below which no channel is called noisy: -57 dB of full scale.
 const NOISE_FLOOR: f32 = 2e-6;
-/// Samples of the quiet stretch that are needed, and those left out at its ends: the filter's way in and the taper's beginning.
-const QUIET_MIN: usize = 16;
-const QUIET_MARGIN: usize = 6;
 /// Channels that may be looked for without a doubt of the others.
 const PENDING_MAX: usize = 2;
 /// Rounds through all channels after which a doubt is certain.
@@ -51,45 +48,6 @@ const LATE_SHARE: f64 = 0.6;
 const REACH_S: f64 = 50e-6;
 /// Step of the search, a share of the template's flank.
 const SEARCH_STEP_SHARE: i64 = 2;
-
-/// What a channel told when it was heard last.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Told {
-    Nothing,
-    /// Heard where it should be; the unit phasor of what is left.
-    InPlace {
-        phasor: Complex<f32>,
-        strength: f32,
-    },
-    /// Heard elsewhere, by so many samples.
-    Elsewhere {
-        late: f64,
-    },
-    Deaf,
-}
-
-#[derive(Debug, Clone)]
-struct Channel {
-    index: usize,
-    place_m: Vector3<f64>,
-    distance_m: f64,
-    /// By the geometry, in samples.
-    delay: f64,
-    /// Length of the quiet stretch; zero where there is none.
-    quiet_len: usize,
-    told: Told,
-    /// What it would tell if it is in place.
-    candidate: Told,
-    /// Where it should be.
-    coefficient: f32,
-    /// Where it is.
-    clarity: f32,
-    /// Of the emission beside its place, in samples.
-    late: Option<f64>,
-    noise: f32,
-    /// Sum of its deviations, and how many.
-    deviations_m: f64,
-}
 
 #[derive(Debug, Clone)]
 pub(super) struct SensorPath {
@@ -132,22 +90,7 @@ impl SensorPath {
         let channel = |index: usize| {
             let place_m = array.positions_m[index];
             let distance_m = (place_m - sensor.emitter_m).norm();
-            let delay = distance_m / speed_of_sound_m_s * plan.sample_rate_hz;
-            let quiet_len = (delay as usize).saturating_sub(2 * QUIET_MARGIN);
-            Channel {
-                index,
-                place_m,
-                distance_m,
-                delay,
-                quiet_len: if quiet_len >= QUIET_MIN { quiet_len } else { 0 },
-                told: Told::Nothing,
-                candidate: Told::Nothing,
-                coefficient: 0.0,
-                clarity: 0.0,
-                late: None,
-                noise: 0.0,
-                deviations_m: 0.0,
-            }
+            Channel::new(index, place_m, distance_m, distance_m / speed_of_sound_m_s * plan.sample_rate_hz)
         };
         let channels: Vec<Channel> =
             (0..array.channel_count()).filter(|index| array.enabled[*index]).map(channel).collect();
@@ -239,7 +182,7 @@ impl SensorPath {
             let flanked = (turn + self.heard.len() - self.next_flank) % self.heard.len() < FLANKED;
             let channel = &mut self.channels[self.heard[turn]];
             let found = if start::read(plan, samples, channel.index, 0, self.template.stride, &mut self.start) {
-                hear(&self.template, &self.start, channel, self.shift, flanked)
+                channel.hear(&self.template, &self.start, self.shift, flanked)
             } else {
                 Correlation::default()
             };
@@ -349,7 +292,7 @@ impl SensorPath {
             if !(found.coefficient >= HEARD_MIN && found.coefficient >= DEAF_SHARE * median) {
                 channel.told = Told::Deaf;
             } else if late.abs() <= self.template.flank as f64 {
-                hear(&self.template, &self.start, channel, self.shift, false);
+                channel.hear(&self.template, &self.start, self.shift, false);
                 channel.told = channel.candidate;
             } else {
                 channel.told = Told::Elsewhere { late };
@@ -465,40 +408,6 @@ impl SensorPath {
             };
         }
     }
-}
-
-/// Hears a channel where it should be and notes what it tells.
-fn hear(template: &Template, start: &[f32], channel: &mut Channel, shift: i64, flanked: bool) -> Correlation {
-    let expected = channel.delay + shift as f64;
-    let lag = expected.round() as i64;
-    let found = template.correlate(start, lag);
-    if !(found.coefficient > 0.0) {
-        return found;
-    }
-    let turn = ((expected - lag as f64) * template.mean_rad) as f32;
-    let phasor = Complex::from_polar(1.0, found.product.arg() + turn);
-    channel.candidate = Told::InPlace { phasor, strength: found.amplitude * channel.distance_m as f32 };
-    if flanked {
-        let side = |sign: i64| f64::from(template.correlate(start, lag + sign * template.flank).product.norm());
-        let (early, middle, late) = (side(-1), f64::from(found.product.norm()), side(1));
-        let bend = early + late - 2.0 * middle;
-        // Without a peak in between it is farther away than the flank.
-        let vertex = if bend < 0.0 { 0.5 * (early - late) / bend } else { (late - early).signum() };
-        let late = vertex.clamp(-1.0, 1.0) * template.flank as f64;
-        channel.late = Some(late + lag as f64 - expected);
-    }
-    found
-}
-
-/// Finite and not silent.
-fn is_alive(start: &[f32]) -> bool {
-    let power: f32 = start.iter().map(|sample| sample * sample).sum();
-    power > 0.0 && power.is_finite()
-}
-
-/// All samples equal, but for what a filter begins with.
-fn is_flat(start: &[f32]) -> bool {
-    start.get(2..).is_none_or(|rest| rest.iter().all(|sample| *sample == rest[0]))
 }
 
 /// An angle within half a turn.
