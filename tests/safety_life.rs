@@ -203,7 +203,7 @@ fn what_a_dead_daemon_left_unread_moves_nothing_when_the_controller_wakes_or_sta
         std::thread::sleep(Duration::from_millis(1_500));
         judge.look();
         let woken_ns = now_ns();
-        if trial % 2 == 0 {
+        if trial.is_multiple_of(2) {
             controller.signal(Signal::CONT);
         } else {
             controller.kill();

@@ -28,7 +28,7 @@ fn scattered(trial: usize, below: usize) -> usize {
 }
 
 fn signal_of(trial: usize) -> Signal {
-    if trial % 2 == 0 { Signal::TERM } else { Signal::INT }
+    if trial.is_multiple_of(2) { Signal::TERM } else { Signal::INT }
 }
 
 #[test]
@@ -200,7 +200,7 @@ fn hostile_commands_leave_within_limits_and_what_is_spoilt_latches_in_20_ms() {
     ];
     let (mut worst_latch_ns, mut latches, mut violations) = (0, 0, 0);
     for trial in 0..count {
-        if trial % 20 == 0 {
+        if trial.is_multiple_of(20) {
             let mut metronome = Metronome::new(Duration::from_millis(40));
             while !judge.newest().is_some_and(|heard| heard.moves()) {
                 operator.send(Request::Arm, 8).expect("asked");
