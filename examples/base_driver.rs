@@ -66,7 +66,7 @@ impl Sample {
 
     pub fn u32_at(&self, offset: usize) -> u32 {
         let bytes = self.u64_at(offset).to_ne_bytes();
-        let half = if offset % 8 == 0 {
+        let half = if offset.is_multiple_of(8) {
             [bytes[0], bytes[1], bytes[2], bytes[3]]
         } else {
             [bytes[4], bytes[5], bytes[6], bytes[7]]

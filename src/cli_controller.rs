@@ -2,12 +2,16 @@
 
 use crate::config::Config;
 use crate::controller_process;
+use crate::life::LogQueue;
 use clap::Parser;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 
 const EXIT_USAGE: u8 = 2;
 const EXIT_CONFIG: u8 = 78;
+/// Longest wait for a log that nobody reads.
+const LOG_FINISH_LIMIT: Duration = Duration::from_millis(100);
 
 /// The thin controller: takes velocity commands, enforces the safe state, drives the platform.
 #[derive(Debug, Parser)]
@@ -31,17 +35,38 @@ pub fn main() -> ExitCode {
             return ExitCode::from(if error.use_stderr() { EXIT_USAGE } else { 0 });
         }
     };
-    // The level is fixed: no environment variable changes what the process does.
-    env_logger::Builder::new().filter_level(log::LevelFilter::Info).format_target(false).init();
+    let log = start_logging();
+    let code = serve(&arguments);
+    if let Some(log) = log {
+        log.finish(LOG_FINISH_LIMIT);
+    }
+    ExitCode::from(code)
+}
+
+/// The level is fixed: no environment variable changes what the process does. A log that is blocked must not even hold up the start.
+fn start_logging() -> Option<LogQueue> {
+    let mut builder = env_logger::Builder::new();
+    builder.filter_level(log::LevelFilter::Info).format_target(false);
+    // Without a thread the log is written where it arises.
+    let queue = LogQueue::start(std::io::stderr()).ok();
+    if let Some(queue) = &queue {
+        builder.write_style(env_logger::WriteStyle::Never);
+        builder.target(env_logger::Target::Pipe(Box::new(queue.clone())));
+    }
+    builder.init();
+    queue
+}
+
+fn serve(arguments: &Arguments) -> u8 {
     let config = match &arguments.config {
         None => Config::default(),
         Some(path) => match Config::load(path) {
             Ok(config) => config,
             Err(error) => {
                 log::error!("{error}");
-                return ExitCode::from(EXIT_CONFIG);
+                return EXIT_CONFIG;
             }
         },
     };
-    ExitCode::from(controller_process::serve(&config, arguments.arm))
+    controller_process::serve(&config, arguments.arm)
 }

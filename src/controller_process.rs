@@ -174,6 +174,11 @@ impl Controller {
             self.step(GateEvent::Command(command_sample(&command, transport_id)), now);
             self.arm_if_wanted(&command, now);
         }
+        // The age ends between two ticks as often as not: zero need not wait for the next.
+        let now = SystemClock.now();
+        if self.gate.is_overdue(now) {
+            self.step(GateEvent::Tick, now);
+        }
     }
 
     fn tick(&mut self) {

@@ -103,9 +103,8 @@ fn a_daemon_whose_deciding_or_acquiring_thread_hangs_is_followed_by_zero_within_
         assert!(life.daemon.is_alive(), "the other threads live on until the hang is certain");
         let stop = stopped(&life.judge.record, hung_ns);
         // What was captured before a source hung may still be decided on: the robot stands Z2 after that.
-        let after_capture_ns = stop.zero_ns - life.judge.record.captured_before(stop.zero_ns).expect("heard");
-        worst_ns = worst_ns.max(after_capture_ns);
-        assert!(after_capture_ns <= Z2_NS, "{thread}, trial {trial}: {}", in_ms(after_capture_ns));
+        worst_ns = worst_ns.max(stop.after_capture_ns);
+        assert!(stop.after_capture_ns <= Z2_NS, "{thread}, trial {trial}: {}", in_ms(stop.after_capture_ns));
         let (ended_ns, status) = life.daemon.ended_at(SOON);
         assert_eq!(status.code(), Some(70), "{thread}");
         latest_end_ns = latest_end_ns.max(ended_ns - hung_ns);
@@ -119,7 +118,9 @@ fn a_daemon_whose_deciding_or_acquiring_thread_hangs_is_followed_by_zero_within_
 fn start_demo(place: &Place) -> Process {
     let mut command = Command::new(env!("CARGO_BIN_EXE_noctule"));
     command.args(["--quiet", "demo", "--headless", "--backend", "cpu", "--config"]).arg(place.config_file());
-    Process::spawn(command.stdout(Stdio::null()).stderr(Stdio::null()))
+    let mut demo = Process::spawn(command.stdout(Stdio::null()).stderr(Stdio::null()));
+    demo.has_children = true;
+    demo
 }
 
 #[test]
@@ -202,7 +203,7 @@ fn what_a_dead_daemon_left_unread_moves_nothing_when_the_controller_wakes_or_sta
         std::thread::sleep(Duration::from_millis(1_500));
         judge.look();
         let woken_ns = now_ns();
-        if trial % 2 == 0 {
+        if trial.is_multiple_of(2) {
             controller.signal(Signal::CONT);
         } else {
             controller.kill();
@@ -213,7 +214,11 @@ fn what_a_dead_daemon_left_unread_moves_nothing_when_the_controller_wakes_or_sta
         operator.send(Request::Arm, 99).expect("asked");
         judge.watch_for(Duration::from_millis(500));
         non_zero += judge.record.since(woken_ns).filter(|heard| heard.moves()).count();
-        assert!(judge.record.since(woken_ns).count() > 10, "the controller speaks");
+        let deadline = Instant::now() + SOON;
+        while judge.record.since(woken_ns).count() <= 10 {
+            assert!(Instant::now() < deadline, "the controller speaks");
+            judge.watch_for(Duration::from_millis(50));
+        }
     }
     figure(6, "non-zero outputs from a dead daemon's samples", non_zero, "0", count);
     assert_eq!(non_zero, 0);

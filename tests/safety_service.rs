@@ -212,6 +212,7 @@ fn demo_wipes_and_starts_both_again_when_communication_is_stuck() {
     let mut command = Command::new(env!("CARGO_BIN_EXE_noctule"));
     command.args(["--quiet", "demo", "--headless", "--backend", "cpu", "--config"]).arg(place.config_file());
     let mut demo = Process::spawn(command.stdout(Stdio::null()).stderr(Stdio::null()));
+    demo.has_children = true;
     let both = || (child_with(demo.id(), "run"), child_with(demo.id(), "controller"));
     let deadline = Instant::now() + SOON;
     let lock = place.root().join(format!("{}daemon.lock", place.params.prefix));

@@ -28,7 +28,7 @@ fn scattered(trial: usize, below: usize) -> usize {
 }
 
 fn signal_of(trial: usize) -> Signal {
-    if trial % 2 == 0 { Signal::TERM } else { Signal::INT }
+    if trial.is_multiple_of(2) { Signal::TERM } else { Signal::INT }
 }
 
 #[test]
@@ -200,7 +200,7 @@ fn hostile_commands_leave_within_limits_and_what_is_spoilt_latches_in_20_ms() {
     ];
     let (mut worst_latch_ns, mut latches, mut violations) = (0, 0, 0);
     for trial in 0..count {
-        if trial % 20 == 0 {
+        if trial.is_multiple_of(20) {
             let mut metronome = Metronome::new(Duration::from_millis(40));
             while !judge.newest().is_some_and(|heard| heard.moves()) {
                 operator.send(Request::Arm, 8).expect("asked");
@@ -218,9 +218,11 @@ fn hostile_commands_leave_within_limits_and_what_is_spoilt_latches_in_20_ms() {
             daemon.send_as_it_is(command);
             let sent_ns = now_ns();
             judge.watch_until(SOON, "latch", |heard| heard.state == LATCHED);
-            let latched = judge.record.since(sent_ns).find(|heard| heard.state == LATCHED).expect("latched").at_ns;
-            worst_latch_ns = worst_latch_ns.max(latched - sent_ns);
-            assert!(judge.record.since(latched).all(|heard| !heard.moves()));
+            let latched = *judge.record.since(sent_ns).find(|heard| heard.state == LATCHED).expect("latched");
+            // By the stamp of its sending, which lies between: the judge's own turn on a busy machine is not the controller's.
+            assert!(latched.sent_ns <= latched.at_ns);
+            worst_latch_ns = worst_latch_ns.max(latched.sent_ns.saturating_sub(sent_ns));
+            assert!(judge.record.since(latched.at_ns).all(|heard| !heard.moves()));
             latches += 1;
             violations += judge.record.limit_violations(&LIMITS);
             judge.forget();
@@ -228,14 +230,7 @@ fn hostile_commands_leave_within_limits_and_what_is_spoilt_latches_in_20_ms() {
     }
     violations += judge.record.limit_violations(&LIMITS);
     figure(8, "outputs of the real controller outside its limits", violations, "0", count);
-    figure(
-        8,
-        "spoilt command to latched zero at the platform",
-        in_ms(worst_latch_ns),
-        "<= 20 ms, and the machine's scheduling",
-        latches,
-    );
+    figure(8, "spoilt command to latched zero at the output", in_ms(worst_latch_ns), "<= 20 ms", latches);
     assert_eq!(violations, 0);
-    // A tick, 20 ms, and 5 ms for two processes to get a turn each.
-    assert!(worst_latch_ns <= 25 * MS);
+    assert!(worst_latch_ns <= 20 * MS);
 }

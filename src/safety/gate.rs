@@ -175,6 +175,12 @@ impl Gate {
         (self.accepted_count, self.refused_count)
     }
 
+    /// Whether it drives by a command that has meanwhile become too old: whoever looks between two ticks need not wait for the next.
+    #[must_use]
+    pub fn is_overdue(&self, now: Stamp) -> bool {
+        self.state == GateState::Track && self.stale(now).is_some()
+    }
+
     /// The gate after `event`, and what it says.
     #[must_use]
     pub fn step(mut self, event: GateEvent, now: Stamp) -> (Self, GateOutput) {

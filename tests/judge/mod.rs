@@ -131,16 +131,9 @@ impl Record {
         match after.last() {
             None => before.filter(|motors| !motors.moves()).map(|_| from_ns),
             Some(last) if last.moves() => None,
-            Some(last) => {
-                // Several zeros in a row cannot be: only changes are recorded.
-                Some(last.at_ns)
-            }
+            // Several zeros in a row cannot be: only changes are recorded.
+            Some(last) => Some(last.at_ns),
         }
-    }
-
-    /// The capture that the newest command before `from_ns` rested on, as the controller told it.
-    pub fn captured_before(&self, from_ns: u64) -> Option<u64> {
-        self.heard.iter().rfind(|heard| heard.at_ns <= from_ns).map(|heard| heard.captured_ns)
     }
 
     /// Motion after `from_ns`: what must not be before the next arming.

@@ -19,14 +19,15 @@ pub const SOON: Duration = Duration::from_secs(20);
 /// The daemon's number of READY on the wire.
 pub const READY: u32 = 2;
 
-/// A process that is killed when it is dropped.
+/// A process that is killed when it is dropped; one with children of its own is asked first.
 pub struct Process {
     pub child: Child,
+    pub has_children: bool,
 }
 
 impl Process {
     pub fn spawn(command: &mut Command) -> Self {
-        Self { child: command.stdin(Stdio::null()).spawn().expect("started") }
+        Self { child: command.stdin(Stdio::null()).spawn().expect("started"), has_children: false }
     }
 
     pub fn signal(&self, signal: Signal) {
@@ -69,6 +70,13 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
+        if self.has_children && self.is_alive() {
+            self.signal(Signal::TERM);
+            let deadline = Instant::now() + Duration::from_secs(4);
+            while self.is_alive() && Instant::now() < deadline {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        }
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -110,7 +118,8 @@ impl Life {
     ) -> Self {
         let place = Place::new();
         let controller = Process::spawn(change_controller(&mut controller_command(&place)));
-        let judge = Judge::start(&place.root(), &place.params.prefix, place.directory.path());
+        let mut judge = Judge::start(&place.root(), &place.params.prefix, place.directory.path());
+        judge.watch_until(SOON, "controller", |_| true);
         let daemon = Process::spawn(change_daemon(&mut daemon_command(&place, 1)));
         let operator = OperatorClient::open(&place.ipc).expect("operator");
         Self { daemon, controller, operator, judge, place, seed: 1 }
@@ -120,7 +129,8 @@ impl Life {
     pub fn with_stand_in(fault: stand_in::Fault) -> Self {
         let place = Place::new();
         let controller = Process::spawn(&mut controller_command(&place));
-        let judge = Judge::start(&place.root(), &place.params.prefix, place.directory.path());
+        let mut judge = Judge::start(&place.root(), &place.params.prefix, place.directory.path());
+        judge.watch_until(SOON, "controller", |_| true);
         let daemon = Process::spawn(&mut stand_in::command(&place, fault));
         let operator = OperatorClient::open(&place.ipc).expect("operator");
         Self { daemon, controller, operator, judge, place, seed: 1 }
@@ -169,16 +179,15 @@ pub struct Stopped {
 }
 
 /// How the robot came to stand after a fault at `fault_ns`; panics where it did not. The capture is that of the newest command that the
-/// controller had when it stood.
+/// controller has; where it stood before the fault already, that is when it stood.
 pub fn stopped(record: &Record, fault_ns: u64) -> Stopped {
-    let zero_ns = record
-        .zero_at(fault_ns.saturating_sub(1))
-        .unwrap_or_else(|| panic!("it never stood: {:?}", record.heard.last()));
-    let captured_ns = record.captured_before(zero_ns).expect("heard");
+    let newest = record.heard.last().expect("heard");
+    let captured_ns = newest.captured_ns.min(fault_ns);
+    let zero_ns = record.zero_at(captured_ns).unwrap_or_else(|| panic!("it never stood: {newest:?}"));
     Stopped {
         zero_ns,
         after_fault_ns: zero_ns.saturating_sub(fault_ns),
-        after_capture_ns: zero_ns.saturating_sub(captured_ns.min(fault_ns)),
+        after_capture_ns: zero_ns.saturating_sub(captured_ns),
     }
 }
 
