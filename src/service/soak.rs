@@ -142,7 +142,7 @@ impl<'a> Run<'a> {
         let imager = drilled(rig, &gpu, &clock)?;
         let acoustics = SimParams { repeat_waypoints: true, ..SimParams::default() };
         let channels: Vec<usize> = rig.setup().sensors.iter().map(|sensor| sensor.array.channel_count()).collect();
-        let every_ns = options.fault_every_s.is_finite().then(|| (options.fault_every_s * 1e9) as u64);
+        let every_ns = options.fault_every_s.is_finite().then_some((options.fault_every_s * 1e9) as u64);
         Ok(Self {
             drive: Drive::new(rig, world, acoustics, options.seed, imager)?,
             faults: Faults::new(&channels, options.seed),
