@@ -11,13 +11,14 @@ use crate::io::wire::message::{OperatorRequest, Request, VelocityCommand};
 use crate::io::wire::telemetry::PlatformVelocity;
 use crate::io::wire::{Checked, WireType};
 use crate::io::{ControllerTopics, Ipc, IpcError, IpcParams};
+use crate::life::panic::{EXIT_INTERNAL, end_on_panic, is_dying};
+use crate::life::{Notifier, Stop};
 use crate::safety::{
     CommandSample, DaemonState, Gate, GateEvent, GateOutput, GateParams, GateState, OperatorEvent, Reason, Verdict,
 };
 use crate::signal::Velocity;
 use crate::time::{Clock, Stamp, SystemClock};
 use reporter::{Report, Reporter};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -27,10 +28,12 @@ pub const TICK: Duration = Duration::from_millis(20);
 const LOOK_PAUSE: Duration = Duration::from_millis(1);
 /// Samples taken in one look: a flood must not keep the tick waiting.
 const LOOK_SAMPLES_MAX: usize = 32;
+/// Pause between two looks whether the topics' files are still there.
+const PROBE_PAUSE: Duration = Duration::from_secs(1);
 /// Zeros sent at the end, in case one is lost.
 const LAST_ZEROS: usize = 3;
-/// Exit code when a second signal ends the process at once.
-const EXIT_SECOND_SIGNAL: i32 = 130;
+/// Ticks between two words to the service manager: half a second.
+const TICKS_PER_WORD: u64 = 25;
 
 /// What the controller process works by.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,31 +52,20 @@ impl ControllerParams {
     }
 }
 
-/// A flag that SIGTERM and SIGINT set; a second signal ends the process at once.
-///
-/// # Errors
-/// When the system refuses to watch for signals.
-pub fn stop_flag() -> std::io::Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
-        signal_hook::flag::register_conditional_shutdown(signal, EXIT_SECOND_SIGNAL, Arc::clone(&stop))?;
-        signal_hook::flag::register(signal, Arc::clone(&stop))?;
-    }
-    Ok(stop)
-}
-
-/// Runs until SIGTERM or SIGINT and returns the exit code; says on the log why it did not start. A second signal ends the
-/// process at once.
+/// Runs until SIGTERM or SIGINT and returns the exit code; says on the log why it did not start.
 #[must_use]
 pub fn serve(config: &Config, arm: bool) -> u8 {
-    let stop = match stop_flag() {
+    let stop = match Stop::on_signals() {
         Ok(stop) => stop,
         Err(error) => {
             log::error!("cannot watch for signals: {error}");
-            return 70;
+            return EXIT_INTERNAL;
         }
     };
-    match run(&ControllerParams::from_config(config), arm, &stop) {
+    end_on_panic(stop.flag());
+    stop.hold();
+    match run(&ControllerParams::from_config(config), arm, stop.flag()) {
+        Ok(()) if is_dying() => EXIT_INTERNAL,
         Ok(()) => 0,
         Err(error) => {
             log::error!("{error}");
@@ -85,12 +77,14 @@ pub fn serve(config: &Config, arm: bool) -> u8 {
 /// Runs until `stop`; with `arm`, arms once, for the first live daemon, and never after a latch.
 ///
 /// # Errors
-/// [`IpcError`] when the topics cannot be opened. Once they are, only `stop` ends it.
+/// [`IpcError`] when the topics cannot be opened. Once they are, only `stop` ends it, or that somebody deletes their files.
 pub fn run(params: &ControllerParams, arm: bool, stop: &AtomicBool) -> Result<(), IpcError> {
     let ipc = Ipc::open(&params.ipc)?;
     let topics = ControllerTopics::open(&ipc)?;
-    let reporter = Reporter::start();
-    log::info!("controller ready under {} with prefix {}", ipc.root().display(), ipc.prefix());
+    let reporter =
+        Reporter::start(format!("controller ready under {} with prefix {}", ipc.root().display(), ipc.prefix()));
+    let notifier = Notifier::from_environment();
+    notifier.ready();
     let mut controller = Controller {
         topics,
         gate: Gate::new(params.gate, SystemClock.now()),
@@ -98,13 +92,21 @@ pub fn run(params: &ControllerParams, arm: bool, stop: &AtomicBool) -> Result<()
         arming: if arm { Arming::Waiting } else { Arming::Over },
         seen: Seen::default(),
         sequence: 0,
+        tick_count: 0,
         sending_fails: false,
         reporter,
+        notifier,
     };
     let mut next = Instant::now();
-    while !stop.load(Ordering::Relaxed) {
+    let mut next_probe = next + PROBE_PAUSE;
+    let mut ended = Ok(());
+    while !stop.load(Ordering::Relaxed) && ended.is_ok() {
         controller.look();
         let now = Instant::now();
+        if now >= next_probe {
+            next_probe = now + PROBE_PAUSE;
+            ended = controller.topics.check_intact();
+        }
         if now < next {
             std::thread::sleep(LOOK_PAUSE.min(next - now));
             continue;
@@ -117,7 +119,7 @@ pub fn run(params: &ControllerParams, arm: bool, stop: &AtomicBool) -> Result<()
         }
     }
     controller.say_goodbye();
-    Ok(())
+    ended
 }
 
 /// How far arming on request of the command line has come.
@@ -146,8 +148,10 @@ struct Controller {
     arming: Arming,
     seen: Seen,
     sequence: u64,
+    tick_count: u64,
     sending_fails: bool,
     reporter: Reporter,
+    notifier: Notifier,
 }
 
 impl Controller {
@@ -176,6 +180,10 @@ impl Controller {
         let now = SystemClock.now();
         let output = self.step(GateEvent::Tick, now);
         self.publish(output.velocity, output.state, output.reason, now);
+        self.tick_count += 1;
+        if self.tick_count.is_multiple_of(TICKS_PER_WORD) && !self.sending_fails {
+            self.notifier.processed();
+        }
     }
 
     /// Lets the gate judge an event. A gate that stops says so to the platform at once, not at the next tick.
@@ -261,6 +269,7 @@ impl Controller {
 
     /// Zero, three times, and what is in the log's queue.
     fn say_goodbye(mut self) {
+        self.notifier.stopping();
         for _ in 0..LAST_ZEROS {
             self.publish(Velocity::ZERO, GateState::Latched, Reason::Terminated, SystemClock.now());
             std::thread::sleep(LOOK_PAUSE);

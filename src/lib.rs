@@ -29,6 +29,7 @@
 //! | [`sim`] | a world that makes microphone signals, a robot and guidance in it, a score | import what it tests |
 //! | [`io`] | shared memory, files, pictures | decide |
 //! | [`config`] | one TOML file to parameters | hold a default of its own where a module has one |
+//! | [`life`] | signals, panics, the service manager, the log: how a process of the robot lives and ends | know of sonar |
 //! | [`service`] | the daemon: wiring, threads, health; the proving ground: many daemons in simulation | hold science |
 //!
 //! Inside [`sim`], `echo/` makes the signals, a file for each piece of physics, which is where to look what is simulated and how
@@ -75,6 +76,7 @@ pub mod flow;
 pub mod geometry;
 pub mod imaging;
 pub mod io;
+pub mod life;
 pub mod parameter;
 pub mod safety;
 pub mod sensor;

@@ -46,10 +46,10 @@ impl Clock for SystemClock {
         let id = rustix::time::ClockId::Boottime;
         #[cfg(not(any(target_os = "linux", target_os = "android")))]
         let id = rustix::time::ClockId::Monotonic;
-        Stamp {
-            boottime_ns: nanoseconds(rustix::time::clock_gettime(id)),
-            wall_ns: nanoseconds(rustix::time::clock_gettime(rustix::time::ClockId::Realtime)),
-        }
+        // A wall clock before 1970 is told as 1970: nothing is decided by it.
+        let wall = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+        let wall_ns = u64::try_from(wall.as_nanos()).unwrap_or(u64::MAX);
+        Stamp { boottime_ns: nanoseconds(rustix::time::clock_gettime(id)), wall_ns }
     }
 }
 

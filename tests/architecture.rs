@@ -8,12 +8,13 @@ use std::path::{Path, PathBuf};
 /// Who may import whom, by top-level module. A new row or entry deserves a second reader.
 const MAY_IMPORT: &[(&str, &[&str])] = &[
     ("parameter", &[]),
+    ("life", &[]),
     ("document", &["parameter"]),
     ("time", &[]),
     ("geometry", &["parameter"]),
     ("signal", &["geometry", "time"]),
     ("sensor", &["geometry", "parameter", "signal", "document"]),
-    ("imaging", &["signal", "sensor", "geometry", "parameter", "time"]),
+    ("imaging", &["life", "signal", "sensor", "geometry", "parameter", "time"]),
     ("flow", &["signal", "sensor", "geometry", "parameter", "time"]),
     ("detect", &["signal", "sensor", "geometry", "parameter"]),
     ("control", &["signal", "time", "geometry", "parameter"]),
@@ -23,12 +24,13 @@ const MAY_IMPORT: &[(&str, &[&str])] = &[
         "config",
         &["parameter", "document", "geometry", "signal", "sensor", "imaging", "flow", "control", "safety", "sim", "io"],
     ),
-    ("io", &["signal", "sim", "time", "safety", "parameter", "sensor", "geometry"]),
-    ("controller_process", &["safety", "io", "signal", "time", "config"]),
-    ("cli_controller", &["config", "controller_process"]),
+    ("io", &["life", "signal", "sim", "time", "safety", "parameter", "sensor", "geometry"]),
+    ("controller_process", &["life", "safety", "io", "signal", "time", "config"]),
+    ("cli_controller", &["life", "config", "controller_process"]),
     (
         "service",
         &[
+            "life",
             "config",
             "imaging",
             "flow",
@@ -46,11 +48,13 @@ const MAY_IMPORT: &[(&str, &[&str])] = &[
     (
         "cli",
         &[
+            "life",
             "config",
             "imaging",
             "flow",
             "control",
             "safety",
+            "detect",
             "sim",
             "io",
             "signal",

@@ -14,7 +14,7 @@ use noctule::signal::{DaemonState, Reason};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Longest input that is made.
 const INPUT_BYTES_MAX: usize = 4096;
@@ -186,7 +186,9 @@ fn examples(name: &str) -> Vec<Vec<u8>> {
         "world" => files("fixtures/worlds", "toml"),
         "array_csv" => files("fixtures/arrays", "csv"),
         "emission_csv" => {
-            [files("fixtures/emissions", "csv"), vec![b"index,sample\n0,0.5\n1,-1\n2,1e-3\n".to_vec()]].concat()
+            let mut recorded = files("fixtures/emissions", "csv").swap_remove(0);
+            recorded.truncate(500);
+            vec![recorded, b"index,sample\n0,0.5\n1,-1\n2,1e-3\n".to_vec()]
         }
         "directions_csv" => vec![b"azimuth_deg,elevation_deg\n-90,0\n0,10.5\n45,-20\n90\n".to_vec()],
         "recording_npy" => vec![
@@ -240,13 +242,19 @@ struct Worst {
     time: Duration,
 }
 
+/// Time that this thread has computed: that of the clock on the wall is the machine's too.
+fn processor_time() -> Duration {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
+}
+
 /// Runs one case; the error says what was wrong with it.
 fn judge(entry: &Entry, bytes: &[u8], worst: &mut Worst) -> Result<(), String> {
     let before = LIVE_BYTES.get();
     PEAK_BYTES.set(before);
-    let begin = Instant::now();
+    let begin = processor_time();
     let ended = catch_unwind(AssertUnwindSafe(|| (entry.run)(bytes)));
-    let time = begin.elapsed();
+    let time = processor_time().saturating_sub(begin);
     let (peak_bytes, kept_bytes) = (PEAK_BYTES.get() - before, LIVE_BYTES.get() - before);
     match ended {
         Ok(accepted) => worst.accepted += usize::from(accepted),

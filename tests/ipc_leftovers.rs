@@ -5,7 +5,7 @@ mod ipc_rig;
 
 use ipc_rig::{Place, files_below, shared_memory_files, wait_for};
 use noctule::io::wire::message::VelocityCommand;
-use noctule::io::{ControllerTopics, DaemonTopics, Ipc, IpcError, IpcParams};
+use noctule::io::{ControllerTopics, DaemonTopics, Ipc, IpcError, IpcParams, wipe};
 use noctule::signal::{DaemonState, Reason};
 use noctule::time::{Clock, SystemClock};
 use std::fs;
@@ -165,11 +165,16 @@ fn spoil_every_way(spoilt: &str) -> Vec<String> {
 fn after_the_supervisors_wipe_the_next_start_works() {
     let place = Place::new();
     let daemon = open(&place.ipc).expect("daemon");
-    fs::remove_dir_all(place.root()).expect("wiped");
+    assert_eq!(wipe(&place.params).expect_err("a daemon lives").exit_code(), 69);
+    fs::remove_dir_all(place.root()).expect("deleted");
     for name in shared_memory_files(&place.params.prefix) {
-        fs::remove_file(Path::new("/dev/shm").join(name)).expect("wiped");
+        fs::remove_file(Path::new("/dev/shm").join(name)).expect("deleted");
     }
     assert!(!daemon.is_intact(), "a daemon whose root went notices");
+    let refused = Ipc::open(&place.params).and_then(|ipc| open(&ipc)).map(drop).expect_err("two daemons");
+    assert_eq!(refused.exit_code(), 69, "{refused}");
+    drop(daemon);
+    wipe(&place.params).expect("wiped");
     let again = Ipc::open(&place.params).expect("made again");
     let second = open(&again);
     assert!(second.is_ok(), "{:?}", second.map(drop));

@@ -159,7 +159,7 @@ fn nothing_is_allocated_from_the_ping_on_its_topic_to_the_platforms_command() {
     let controller = std::thread::spawn(move || controller_process::run(&params, true, &stopping).expect("controller"));
     let stopping = Arc::clone(&stop);
     let daemon = std::thread::spawn(move || {
-        service::run(&config, &SourceChoice::Live, Prefer::Cpu, None, &stopping).expect("daemon");
+        service::run(&config, &SourceChoice::Live, Prefer::Cpu, None, &stopping.into()).expect("daemon");
     });
     base.listen_until(Duration::from_secs(20), || driver.drive(), |sample| is(sample, GateState::Track));
     base.listen_for(Duration::from_secs(2), || driver.drive());

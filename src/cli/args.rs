@@ -1,7 +1,9 @@
 //! The command line as it may be typed (specification, section 11).
 
+mod detect;
 mod simulate;
 
+pub use detect::{DetectArguments, DetectorArgument};
 pub use simulate::{ConditionArguments, SimulateArguments};
 
 use super::bench::Case;
@@ -45,6 +47,8 @@ pub enum Command {
     Stop(OperatorArguments),
     /// Ask the daemon to leave its latched fault and test itself again.
     Reset(OperatorArguments),
+    /// Remove what stopped processes left in shared memory; after exit code 75 this is the supervisor's.
+    Wipe(OperatorArguments),
     /// Image recordings into NumPy files.
     Process(ProcessArguments),
     /// Drive simulated robots through a world and score them; rank sensor layouts.
@@ -55,6 +59,8 @@ pub enum Command {
     Masks(MasksArguments),
     /// Time the stages and the whole ping, CPU and GPU side by side.
     Bench(BenchArguments),
+    /// Detect obstacles or objects in range readings: JSON on standard input to JSON on standard output.
+    Detect(DetectArguments),
     /// List every topic with its types and the byte offset of every field.
     Topics(TopicsArguments),
     /// Print what passes on a topic.
@@ -156,7 +162,7 @@ pub struct ControllerArguments {
     pub arm: bool,
 }
 
-/// `arm`, `stop`, `reset`.
+/// `arm`, `stop`, `reset`, `wipe`.
 #[derive(Debug, Args)]
 pub struct OperatorArguments {
     #[command(flatten)]

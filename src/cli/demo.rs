@@ -11,7 +11,7 @@ use crate::config::Config;
 use crate::io::wire::message::VelocityCommand;
 use crate::io::wire::telemetry::{Health, PlatformVelocity};
 use crate::io::{Ipc, StatusTopics};
-use crate::service::supervisor::{Supervised, Watched};
+use crate::service::supervisor::{CONTROLLER_TERMS, DAEMON_TERMS, Supervised, Watched};
 use crate::service::wiring;
 use crate::signal::{DaemonState, GateState, LayerName};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -38,7 +38,7 @@ pub fn demo(arguments: &DemoArguments) -> Result<(), Failure> {
     wiring::sensing(&config).map_err(|error| Failure::new(exit::CONFIG, error))?;
     let stop = stop_flag()?;
     let ipc = Ipc::open(&config.ipc).map_err(|error| ipc_failure(&error))?;
-    let topics = StatusTopics::open(&ipc).map_err(|error| ipc_failure(&error))?;
+    let mut topics = Some(StatusTopics::open(&ipc).map_err(|error| ipc_failure(&error))?);
     let mut tally = Tally::new(&config, recording_ns);
     let line = status_line(arguments);
     let ended = {
@@ -50,7 +50,10 @@ pub fn demo(arguments: &DemoArguments) -> Result<(), Failure> {
             if stop.load(Ordering::Relaxed) {
                 break Ok(());
             }
-            tally.look(&topics);
+            if let Some(topics) = &topics {
+                tally.look(topics);
+            }
+            beat(&mut tally, &mut daemon, &mut controller);
             if tally.heard_command && first_set_at.is_none() {
                 first_set_at = Some(Instant::now());
             }
@@ -66,6 +69,12 @@ pub fn demo(arguments: &DemoArguments) -> Result<(), Failure> {
                     break Err(Failure::new(code, "the demo ends: a process had to be given up"));
                 }
                 (Watched::Finished, _) => break Ok(()),
+                (Watched::Stuck, _) | (_, Watched::Stuck) => {
+                    // Ours go first: what is wiped must not be in use.
+                    drop(topics.take());
+                    wipe_and_start_again(&config, &mut daemon, &mut controller)?;
+                    topics = Some(open_status(&config)?);
+                }
                 _ => {}
             }
             if let Some(line) = &line {
@@ -80,6 +89,36 @@ pub fn demo(arguments: &DemoArguments) -> Result<(), Failure> {
     }
     tally.print(arguments.json)?;
     ended
+}
+
+fn open_status(config: &Config) -> Result<StatusTopics, Failure> {
+    let ipc = Ipc::open(&config.ipc).map_err(|error| ipc_failure(&error))?;
+    StatusTopics::open(&ipc).map_err(|error| ipc_failure(&error))
+}
+
+/// Hands on what the processes did since the last look.
+fn beat(tally: &mut Tally, daemon: &mut Supervised, controller: &mut Supervised) {
+    let sets = tally.health.map(|health| (health.epoch, health.ping_set_count)).filter(|(_, count)| *count > 0);
+    if sets.is_some() && sets != tally.beaten.0 {
+        tally.beaten.0 = sets;
+        daemon.beat();
+    }
+    let ticks = tally.platform.map(|platform| platform.t_monotonic_ns);
+    if ticks.is_some() && ticks != tally.beaten.1 {
+        tally.beaten.1 = ticks;
+        controller.beat();
+    }
+}
+
+/// After exit code 75: both down, every file of theirs away, both up. Nobody arms for the second time but a person.
+fn wipe_and_start_again(config: &Config, daemon: &mut Supervised, controller: &mut Supervised) -> Result<(), Failure> {
+    controller.end();
+    daemon.end();
+    let count = crate::io::wipe(&config.ipc).map_err(|error| ipc_failure(&error))?;
+    log::warn!("communication was stuck: {count} files were wiped, daemon and controller start again");
+    daemon.start_again();
+    controller.start_again();
+    Ok(())
 }
 
 /// A line that is drawn over and over on a terminal; elsewhere nothing.
@@ -117,7 +156,7 @@ fn start_daemon(arguments: &DemoArguments) -> Result<Supervised, Failure> {
     if let Some(backend) = arguments.backend.and_then(|backend| clap::ValueEnum::to_possible_value(&backend)) {
         given.extend(["--backend".into(), backend.get_name().into()]);
     }
-    Ok(Supervised::start("daemon", move |_| child(&program, &given))?)
+    Ok(Supervised::start("daemon", DAEMON_TERMS, move |_| child(&program, &given))?)
 }
 
 fn start_controller(arguments: &DemoArguments) -> Result<Supervised, Failure> {
@@ -127,7 +166,7 @@ fn start_controller(arguments: &DemoArguments) -> Result<Supervised, Failure> {
         given.extend(["--config".into(), path.into()]);
     }
     // The demo arms itself at its start; a controller that died may only be armed by a person.
-    Ok(Supervised::start("controller", move |earlier| {
+    Ok(Supervised::start("controller", CONTROLLER_TERMS, move |earlier| {
         let mut command = child(&program, &given);
         if earlier == 0 {
             command.arg("--arm");
@@ -139,7 +178,8 @@ fn start_controller(arguments: &DemoArguments) -> Result<Supervised, Failure> {
 /// A child whose talk goes to our standard error: standard output is for the summary.
 fn child(program: &std::path::Path, given: &[std::ffi::OsString]) -> Command {
     let mut command = Command::new(program);
-    command.args(given).stdin(Stdio::null()).stdout(Stdio::null());
+    // Whoever supervises the demo hears of the demo, not of its children.
+    command.args(given).stdin(Stdio::null()).stdout(Stdio::null()).env_remove("NOTIFY_SOCKET");
     // Ctrl-C on the terminal reaches the demo alone, which then ends both in order.
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     command
@@ -158,6 +198,8 @@ struct Tally {
     latencies_ms: Vec<f64>,
     layers: [u64; LAYERS.len()],
     last_sequence: u64,
+    /// The last beat of the daemon (epoch and ping sets) and of the controller (its newest stamp).
+    beaten: (Option<(u64, u64)>, Option<u64>),
 }
 
 const LAYERS: [LayerName; 6] = LayerName::ALL;
@@ -175,6 +217,7 @@ impl Tally {
             latencies_ms: Vec::new(),
             layers: [0; LAYERS.len()],
             last_sequence: 0,
+            beaten: (None, None),
         }
     }
 

@@ -8,7 +8,7 @@ mod bench;
 mod check;
 mod config;
 mod demo;
-mod log_queue;
+mod detect;
 mod masks;
 mod output;
 mod process;
@@ -19,7 +19,7 @@ mod topics;
 
 pub use args::{Arguments, Command};
 
-use log_queue::LogQueue;
+use crate::life::{self, LogQueue};
 use std::fmt;
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
@@ -88,18 +88,30 @@ pub fn main() -> ExitCode {
         }
     };
     start_logging(arguments.verbose, arguments.quiet);
-    let done = dispatch(arguments.command);
+    let code = match dispatch(arguments.command) {
+        Ok(()) => 0,
+        Err(failure) => {
+            if !failure.message.is_empty() {
+                say(&format!("noctule: {}\n", failure.message));
+            }
+            failure.code
+        }
+    };
     if let Some(log) = LOG.get() {
         log.finish(LOG_FINISH_LIMIT);
     }
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            if !failure.message.is_empty() {
-                eprintln!("noctule: {}", failure.message);
-            }
-            ExitCode::from(failure.code)
-        }
+    if life::panic::is_dying() || code == exit::INTERNAL {
+        // A thread that panicked or hangs must not be waited for by whatever a driver does at the end of a process.
+        signal_hook::low_level::exit(i32::from(exit::INTERNAL));
+    }
+    ExitCode::from(code)
+}
+
+/// To standard error, by way of the log: it may be a pipe that nobody reads.
+fn say(line: &str) {
+    match LOG.get() {
+        Some(log) => drop(std::io::Write::write_all(&mut log.clone(), line.as_bytes())),
+        None => eprint!("{line}"),
     }
 }
 
@@ -136,11 +148,13 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Arm(arguments) => run::operator(&arguments, run::Request::Arm),
         Command::Stop(arguments) => run::operator(&arguments, run::Request::Stop),
         Command::Reset(arguments) => run::operator(&arguments, run::Request::Reset),
+        Command::Wipe(arguments) => run::wipe(&arguments),
         Command::Process(arguments) => process::process(&arguments),
         Command::Simulate(arguments) => simulate::simulate(&arguments),
         Command::Soak(arguments) => soak::soak_command(&arguments),
         Command::Masks(arguments) => masks::masks(&arguments),
         Command::Bench(arguments) => bench::bench(&arguments),
+        Command::Detect(arguments) => detect::detect(&arguments),
         Command::Topics(arguments) => topics::topics(&arguments),
         Command::Echo(arguments) => topics::echo(&arguments),
         Command::Check(arguments) => check::check(&arguments),

@@ -9,6 +9,8 @@ use crate::controller_process;
 use crate::io::source::SourceError;
 pub use crate::io::wire::message::Request;
 use crate::io::{Ipc, IpcError, OperatorClient};
+use crate::life::panic::end_on_panic;
+use crate::life::{self, Stop};
 use crate::sensor::RecordingParams;
 use crate::service::{self, ServiceError, SourceChoice};
 use crate::signal::SampleFormat;
@@ -26,11 +28,12 @@ const REQUEST_LIMIT: Duration = Duration::from_secs(3);
 /// # Errors
 /// The codes of the specification, section 11.
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
+    let stop = Stop::on_signals().map_err(no_signals)?;
+    end_on_panic(stop.flag());
     let mut config = super::config::load(&arguments.choice)?;
     let source = source_choice(&arguments.source, arguments.seed, &mut config)?;
     let prefer = arguments.backend.map_or(config.imaging.backend, Into::into);
     let limit = arguments.duration.map(Duration::from_secs_f64);
-    let stop = stop_flag()?;
     service::run(&config, &source, prefer, limit, &stop).map_err(|error| service_failure(&error))
 }
 
@@ -39,8 +42,11 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
 /// # Errors
 /// Exit 70 when signals cannot be watched.
 pub fn stop_flag() -> Result<Arc<AtomicBool>, Failure> {
-    controller_process::stop_flag()
-        .map_err(|error| Failure::new(exit::INTERNAL, format!("cannot watch for signals: {error}")))
+    life::stop_flag().map_err(no_signals)
+}
+
+fn no_signals(error: std::io::Error) -> Failure {
+    Failure::new(exit::INTERNAL, format!("cannot watch for signals: {error}"))
 }
 
 /// The default recording is that of PDM hardware. Where the configuration says nothing of it, the simulator delivers
@@ -123,4 +129,15 @@ pub fn operator(arguments: &OperatorArguments, request: Request) -> Result<(), F
     let client = OperatorClient::open(&ipc).map_err(|error| ipc_failure(&error))?;
     let states = client.request(request, REQUEST_LIMIT).map_err(|error| ipc_failure(&error))?;
     print_line(&states)
+}
+
+/// Removes everything that stopped processes have under the configured root and prefix.
+///
+/// # Errors
+/// 69 where a daemon runs, and the codes of the transport.
+pub fn wipe(arguments: &OperatorArguments) -> Result<(), Failure> {
+    let config = super::config::load(&arguments.choice)?;
+    let count = crate::io::wipe(&config.ipc).map_err(|error| ipc_failure(&error))?;
+    let root = config.ipc.root_path();
+    print_line(&format!("{count} files removed under {} and of prefix {}", root.display(), config.ipc.prefix))
 }

@@ -101,6 +101,7 @@ const COMMENTS: &[(&str, &str)] = &[
     ("detect.ring.ring_radius_m", "Radius of the ring."),
     ("detect.ring.cone_deg", "Full apex angle of a virtual sonar's cone."),
     ("detect.ring.cell_m", "Edge of a cell of the occupancy grid."),
+    ("detect.ring.range_noise_m", "Standard deviation of a reading: what an object's covariance follows from."),
 ];
 
 /// What is said above keys that several layers share, by their last part.

@@ -33,11 +33,12 @@ pub(super) struct Reporter {
 }
 
 impl Reporter {
-    /// Starts the thread. Without one the controller works on, in silence.
-    pub(super) fn start() -> Self {
+    /// Starts the thread, whose first line is `greeting`. Without one the controller works on, in silence.
+    pub(super) fn start(greeting: String) -> Self {
         let (queue, reports) = sync_channel(QUEUE);
         let (finished, done) = sync_channel(1);
         let thread = std::thread::Builder::new().name("reporter".to_owned()).spawn(move || {
+            log::info!("{greeting}");
             tell(&reports);
             let _ = finished.send(());
         });

@@ -5,6 +5,9 @@
 use crate::parameter::{ParameterError, check_positive, check_range};
 use serde::{Deserialize, Serialize};
 
+/// Least cone of the ring in which two neighbours can hear the same thing somewhere.
+const RING_CONE_MIN_DEG: f64 = 31.0;
+
 /// `[detect]`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -42,15 +45,18 @@ impl Default for ProjectionParams {
 pub struct RingParams {
     /// Radius R of the ring on which the virtual sonars stand.
     pub ring_radius_m: f64,
-    /// Full apex angle of a virtual sonar's cone.
+    /// Full apex angle of a virtual sonar's cone. Neighbours look 30 degrees apart and stand apart, too: cones of 30 degrees
+    /// never meet, those of 45 do from 0.3 m on.
     pub cone_deg: f64,
     /// Edge of a cell of the occupancy grid.
     pub cell_m: f64,
+    /// Standard deviation of a reading.
+    pub range_noise_m: f64,
 }
 
 impl Default for RingParams {
     fn default() -> Self {
-        Self { ring_radius_m: 0.15, cone_deg: 30.0, cell_m: 0.2 }
+        Self { ring_radius_m: 0.15, cone_deg: 45.0, cell_m: 0.2, range_noise_m: 0.01 }
     }
 }
 
@@ -67,7 +73,8 @@ impl DetectParams {
         check_range("projection.threshold", threshold, 0.0, 9.99)?;
         check_range("projection.cone_deg", cone_deg, 1.0, 180.0)?;
         check_positive("ring.ring_radius_m", self.ring.ring_radius_m, 5.0)?;
-        check_range("ring.cone_deg", self.ring.cone_deg, 1.0, 180.0)?;
-        check_range("ring.cell_m", self.ring.cell_m, 0.01, 2.0)
+        check_range("ring.cone_deg", self.ring.cone_deg, RING_CONE_MIN_DEG, 180.0)?;
+        check_range("ring.cell_m", self.ring.cell_m, 0.01, 2.0)?;
+        check_positive("ring.range_noise_m", self.ring.range_noise_m, 1.0)
     }
 }

@@ -5,7 +5,7 @@
 
 use super::error::IpcError;
 use super::fresh_id;
-use super::node::{Ipc, Registration};
+use super::node::{Ipc, Needs, Registration};
 use super::session::{FixedPublisher, FixedSubscriber};
 use super::topics::{self, Topic};
 use super::wire::message::{Odometry, OperatorRequest, Request, VelocityCommand, VelocityInput};
@@ -26,7 +26,7 @@ pub struct ControllerTopics {
     operator: FixedSubscriber<OperatorRequest>,
     requests: FixedPublisher<OperatorRequest>,
     platform: FixedPublisher<PlatformVelocity>,
-    _registration: Registration,
+    registration: Registration,
 }
 
 impl ControllerTopics {
@@ -35,17 +35,27 @@ impl ControllerTopics {
     /// # Errors
     /// [`IpcError`]: 69 another controller, 73 too little shared memory, 75 stuck, 77 not ours.
     pub fn open(ipc: &Ipc) -> Result<Self, IpcError> {
-        ipc.check_space(Topic::platform().publisher_bytes(1) + Topic::operator().publisher_bytes(1))?;
-        let (registration, (platform, command, operator, requests)) = ipc.set_up("noctule-controller", |session| {
-            Ok((
-                session.publisher(&Topic::platform())?,
-                session.subscriber(&Topic::command())?,
-                session.subscriber(&Topic::operator())?,
-                session.publisher(&Topic::operator())?,
-            ))
-        })?;
-        ipc.reserve_memory()?;
-        Ok(Self { command, operator, requests, platform, _registration: registration })
+        let needs = Needs::new().publisher(&Topic::platform(), 1).publisher(&Topic::operator(), 1);
+        let needs = needs.subscriber(&Topic::command()).subscriber(&Topic::operator());
+        let (registration, (platform, command, operator, requests)) =
+            ipc.set_up("noctule-controller", needs, |session| {
+                Ok((
+                    session.publisher(&Topic::platform())?,
+                    session.subscriber(&Topic::command())?,
+                    session.subscriber(&Topic::operator())?,
+                    session.publisher(&Topic::operator())?,
+                ))
+            })?;
+        Ok(Self { command, operator, requests, platform, registration })
+    }
+
+    /// A file of these topics that somebody deleted under us, looked for anew at each call. Whoever comes after that cannot
+    /// be heard: stop, exit 75.
+    ///
+    /// # Errors
+    /// [`IpcError::TakenAway`] naming the file.
+    pub fn check_intact(&self) -> Result<(), IpcError> {
+        self.registration.lost().map_or(Ok(()), |path| Err(IpcError::TakenAway { path: path.to_owned() }))
     }
 
     /// The next command, with the transport's number of its publisher; to be called until `None`.
@@ -130,7 +140,9 @@ impl OperatorClient {
     /// # Errors
     /// [`IpcError`].
     pub fn open(ipc: &Ipc) -> Result<Self, IpcError> {
-        let (registration, (requests, command, platform)) = ipc.set_up("noctule-operator", |session| {
+        let needs = Needs::new().publisher(&Topic::operator(), 1);
+        let needs = needs.subscriber(&Topic::command()).subscriber(&Topic::platform());
+        let (registration, (requests, command, platform)) = ipc.set_up("noctule-operator", needs, |session| {
             Ok((
                 session.publisher(&Topic::operator())?,
                 session.subscriber(&Topic::command())?,
@@ -207,7 +219,10 @@ impl PlatformSubscriber {
     /// # Errors
     /// [`IpcError`].
     pub fn open(ipc: &Ipc) -> Result<Self, IpcError> {
-        let (registration, port) = ipc.set_up("noctule-platform", |session| session.subscriber(&Topic::platform()))?;
+        let (registration, port) =
+            ipc.set_up("noctule-platform", Needs::new().subscriber(&Topic::platform()), |session| {
+                session.subscriber(&Topic::platform())
+            })?;
         Ok(Self { port, _registration: registration })
     }
 
@@ -239,7 +254,9 @@ impl InputPublisher {
     /// # Errors
     /// [`IpcError`].
     pub fn open(ipc: &Ipc, with_odometry: bool) -> Result<Self, IpcError> {
-        let (registration, (input, odometry)) = ipc.set_up("noctule-input", move |session| {
+        let needs = Needs::new().publisher(&Topic::input(), 1);
+        let needs = if with_odometry { needs.publisher(&Topic::odometry(), 1) } else { needs };
+        let (registration, (input, odometry)) = ipc.set_up("noctule-input", needs, move |session| {
             let input = session.publisher(&Topic::input())?;
             let odometry = if with_odometry { Some(session.publisher(&Topic::odometry())?) } else { None };
             Ok((input, odometry))

@@ -4,7 +4,7 @@
 //! nothing here allocates, and no call waits. Dropping it removes what it made.
 
 use super::error::IpcError;
-use super::node::{Ipc, Registration};
+use super::node::{Ipc, Needs, Registration};
 use super::root::DaemonLock;
 use super::session::{FixedPublisher, FixedSubscriber, SlicePublisher};
 use super::topics::Topic;
@@ -12,6 +12,7 @@ use super::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, Velocit
 use super::wire::telemetry::{Cues, Health, PlatformVelocity};
 use super::{fresh_id, wire::WireType};
 use crate::time::Stamp;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Room for the small topics' management files and for the connections of late subscribers.
 const SPARE_BYTES: u64 = 4 * 1024 * 1024;
@@ -20,18 +21,67 @@ const SPARE_BYTES: u64 = 4 * 1024 * 1024;
 #[derive(Debug)]
 pub struct DaemonTopics {
     ports: Ports,
+    command: Arc<CommandPort>,
+    registration: Registration,
+    lock: DaemonLock,
+}
+
+/// Where commands leave, one after the other, whichever thread speaks. The lock is held for one sending, some microseconds.
+#[derive(Debug)]
+struct CommandPort {
+    port: FixedPublisher<VelocityCommand>,
     epoch: u64,
     publisher_id: u64,
+    said: Mutex<Said>,
+}
+
+#[derive(Debug, Default)]
+struct Said {
     sequence: u64,
-    _registration: Registration,
-    lock: DaemonLock,
+    /// The last word was spoken: nothing but zero leaves from now on.
+    over: bool,
+}
+
+impl CommandPort {
+    fn publish(&self, command: VelocityCommand, now: Stamp, last: bool) -> Result<u64, IpcError> {
+        let mut said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        said.over |= last;
+        let stands = command.linear_m_s == 0.0 && command.angular_rad_s == 0.0;
+        if said.over && !stands {
+            return Ok(said.sequence);
+        }
+        said.sequence += 1;
+        let command = VelocityCommand {
+            schema_hash: VelocityCommand::SCHEMA_HASH,
+            epoch: self.epoch,
+            publisher_id: self.publisher_id,
+            sequence: said.sequence,
+            t_published_ns: now.boottime_ns,
+            ..command
+        };
+        self.port.send(command.sealed())?;
+        Ok(said.sequence)
+    }
+}
+
+/// A second hand on the commands, for whoever watches the thread that publishes them.
+#[derive(Debug, Clone)]
+pub struct LastWord(Arc<CommandPort>);
+
+impl LastWord {
+    /// Publishes `command`; afterwards nothing but zero is published, whoever tries.
+    ///
+    /// # Errors
+    /// [`IpcError::Send`].
+    pub fn say(&self, command: VelocityCommand, now: Stamp) -> Result<u64, IpcError> {
+        self.0.publish(command, now, true)
+    }
 }
 
 #[derive(Debug)]
 struct Ports {
     energyscapes: Vec<SlicePublisher<f32, EnergyscapeHeader>>,
     cues: FixedPublisher<Cues>,
-    command: FixedPublisher<VelocityCommand>,
     health: FixedPublisher<Health>,
     input: FixedSubscriber<VelocityInput>,
     operator: FixedSubscriber<OperatorRequest>,
@@ -43,13 +93,19 @@ impl DaemonTopics {
     /// Shared memory that [`DaemonTopics::open`] needs, in bytes.
     #[must_use]
     pub fn needed_bytes(sensors: &[String], cell_counts: &[usize]) -> u64 {
-        let images: u64 = sensors
-            .iter()
-            .zip(cell_counts)
-            .map(|(sensor, &cell_count)| Topic::energyscape(sensor).publisher_bytes(cell_count))
-            .sum();
-        let reports = [Topic::cues(), Topic::command(), Topic::health()];
-        images + reports.iter().map(|topic| topic.publisher_bytes(1)).sum::<u64>() + SPARE_BYTES
+        Self::needs(sensors, cell_counts).bytes()
+    }
+
+    fn needs(sensors: &[String], cell_counts: &[usize]) -> Needs {
+        let mut needs = Needs::new().spare(SPARE_BYTES);
+        for (sensor, &cell_count) in sensors.iter().zip(cell_counts) {
+            needs = needs.publisher(&Topic::energyscape(sensor), cell_count);
+        }
+        for topic in [Topic::cues(), Topic::command(), Topic::health()] {
+            needs = needs.publisher(&topic, 1);
+        }
+        let heard = [Topic::input(), Topic::operator(), Topic::odometry(), Topic::platform()];
+        heard.iter().fold(needs, Needs::subscriber)
     }
 
     /// Opens everything, for sensors named `sensors` whose energyscapes have `cell_counts` cells.
@@ -58,13 +114,13 @@ impl DaemonTopics {
     /// [`IpcError`]: 69 another daemon or commander, 73 too little shared memory, 75 stuck, 77 not ours.
     pub fn open(ipc: &Ipc, sensors: &[String], cell_counts: &[usize]) -> Result<Self, IpcError> {
         let lock = ipc.lock_daemon()?;
-        ipc.check_space(Self::needed_bytes(sensors, cell_counts))?;
+        let needs = Self::needs(sensors, cell_counts);
         let images: Vec<(Topic, usize)> =
             sensors.iter().zip(cell_counts).map(|(sensor, &count)| (Topic::energyscape(sensor), count)).collect();
-        let (registration, ports) = ipc.set_up("noctule-daemon", move |session| {
-            Ok(Ports {
-                // First, so that a second commander is refused before anything else is there.
-                command: session.publisher(&Topic::command())?,
+        let (registration, (port, ports)) = ipc.set_up("noctule-daemon", needs, move |session| {
+            // First, so that a second commander is refused before anything else is there.
+            let command = session.publisher(&Topic::command())?;
+            let ports = Ports {
                 energyscapes: images
                     .iter()
                     .map(|(topic, cell_count)| session.slice_publisher(topic, *cell_count))
@@ -75,22 +131,30 @@ impl DaemonTopics {
                 operator: session.subscriber(&Topic::operator())?,
                 odometry: session.subscriber(&Topic::odometry())?,
                 platform: session.subscriber(&Topic::platform())?,
-            })
+            };
+            Ok((command, ports))
         })?;
-        ipc.reserve_memory()?;
-        Ok(Self { ports, epoch: fresh_id(), publisher_id: fresh_id(), sequence: 0, _registration: registration, lock })
+        let (epoch, publisher_id) = (fresh_id(), fresh_id());
+        let command = Arc::new(CommandPort { port, epoch, publisher_id, said: Mutex::default() });
+        Ok(Self { ports, command, registration, lock })
     }
 
     /// Random number of this start of the daemon: what an arm request must carry.
     #[must_use]
     pub fn epoch(&self) -> u64 {
-        self.epoch
+        self.command.epoch
     }
 
-    /// Whether the root is still the one that was opened. False means that somebody removed it under us: stop, exit 75.
+    /// A second hand on the commands.
+    #[must_use]
+    pub fn last_word(&self) -> LastWord {
+        LastWord(Arc::clone(&self.command))
+    }
+
+    /// Whether root and shared memory still hold what was opened. False means that somebody removed it under us: stop, exit 75.
     #[must_use]
     pub fn is_intact(&self) -> bool {
-        self.lock.is_ours()
+        self.lock.is_ours() && self.registration.lost().is_none()
     }
 
     /// Publishes a sensor's energyscape, written straight into shared memory.
@@ -134,17 +198,7 @@ impl DaemonTopics {
     /// # Errors
     /// [`IpcError::Send`].
     pub fn publish_command(&mut self, command: VelocityCommand, now: Stamp) -> Result<u64, IpcError> {
-        self.sequence += 1;
-        let command = VelocityCommand {
-            schema_hash: VelocityCommand::SCHEMA_HASH,
-            epoch: self.epoch,
-            publisher_id: self.publisher_id,
-            sequence: self.sequence,
-            t_published_ns: now.boottime_ns,
-            ..command
-        };
-        self.ports.command.send(command.sealed())?;
-        Ok(self.sequence)
+        self.command.publish(command, now, false)
     }
 
     /// Publishes health, with this daemon's epoch.
@@ -152,7 +206,7 @@ impl DaemonTopics {
     /// # Errors
     /// [`IpcError::Send`].
     pub fn publish_health(&self, health: Health) -> Result<(), IpcError> {
-        self.ports.health.send(Health { epoch: self.epoch, ..health })
+        self.ports.health.send(Health { epoch: self.command.epoch, ..health })
     }
 
     /// The newest wanted velocity of all senders that arrived since the last call; judge it by [`VelocityInput::wanted`].

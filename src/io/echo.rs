@@ -4,7 +4,7 @@
 //! is shown, with the length and the largest value. Listens only: never publishes, never holds a sample.
 
 use super::error::IpcError;
-use super::node::{Ipc, Registration};
+use super::node::{Ipc, Needs, Registration};
 use super::session::{FixedSubscriber, Session, SliceSubscriber};
 use super::topics::{self, Topic};
 use super::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput};
@@ -57,7 +57,8 @@ impl Echo {
             .find(|known| known.name == topic)
             .ok_or_else(|| IpcError::UnknownTopic { topic: topic.to_owned(), known: known() })?
             .clone();
-        let (registration, port) = ipc.set_up("noctule-echo", move |session| listen(session, &found))?;
+        let needs = Needs::new().subscriber(&found);
+        let (registration, port) = ipc.set_up("noctule-echo", needs, move |session| listen(session, &found))?;
         Ok(Self { port, json, _registration: registration })
     }
 

@@ -33,13 +33,13 @@ pub enum IpcError {
         allowed: usize,
     },
     /// The service was made by another build.
-    #[error("service {service} was made by another build: {found}; expected schema {expected}")]
+    #[error("service {service} was made by another build: found {found}; expected {expected}")]
     Incompatible {
         /// The service.
         service: String,
         /// What does not fit.
         found: String,
-        /// Our schema.
+        /// Our schema, type and limits.
         expected: String,
     },
     /// Nobody offers the service.
@@ -74,6 +74,24 @@ pub enum IpcError {
         needed: u64,
         /// Bytes that are free.
         free: u64,
+    },
+    /// The process may not open enough files.
+    #[error(
+        "this process may have {allowed} files open, {needed} are needed ({open} are open): raise RLIMIT_NOFILE (ulimit -n)"
+    )]
+    NoDescriptors {
+        /// Descriptors that are needed, with those that are open.
+        needed: u64,
+        /// Most that the process may have.
+        allowed: u64,
+        /// Descriptors in use already.
+        open: u64,
+    },
+    /// A file of ours was deleted or replaced while we used it.
+    #[error("{} was taken away: nobody who starts now can be heard", path.display())]
+    TakenAway {
+        /// The file.
+        path: PathBuf,
     },
     /// A file or directory cannot be made.
     #[error("cannot create {}: {source}", path.display())]
@@ -128,8 +146,8 @@ impl IpcError {
             | IpcError::NoPeer { .. }
             | IpcError::NoEffect(_) => 69,
             IpcError::UnknownTopic { .. } => 2,
-            IpcError::NoSpace { .. } | IpcError::CannotCreate { .. } => 73,
-            IpcError::Stuck { .. } => 75,
+            IpcError::NoSpace { .. } | IpcError::NoDescriptors { .. } | IpcError::CannotCreate { .. } => 73,
+            IpcError::Stuck { .. } | IpcError::TakenAway { .. } => 75,
             IpcError::Permission { .. } => 77,
             IpcError::Send { .. } | IpcError::Internal(_) => 70,
         }

@@ -4,7 +4,8 @@
 //! |---|---|
 //! | [`topics`] | names, layouts and depths of all topics |
 //! | [`wire`] | the types on them |
-//! | [`node`], `session`, `root` | root directory, locks, set-up, ports |
+//! | [`node`], `session` | set-up, ports |
+//! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`source`] | where ping sets come from |
@@ -15,12 +16,14 @@ pub mod clients;
 pub mod daemon_topics;
 pub mod echo;
 pub mod error;
+mod files;
 pub mod node;
 pub mod params;
 pub mod picture;
 pub mod plot;
 pub mod plot_layouts;
 mod polar;
+mod probe;
 pub mod raw_topics;
 pub mod recording_file;
 mod root;
@@ -32,9 +35,10 @@ pub mod wire;
 
 pub use canvas::encode_png;
 pub use clients::{ControllerTopics, InputPublisher, OperatorClient, PlatformSubscriber};
-pub use daemon_topics::DaemonTopics;
+pub use daemon_topics::{DaemonTopics, LastWord};
 pub use echo::{Echo, EchoLimit};
 pub use error::IpcError;
+pub use files::wipe;
 pub use node::Ipc;
 pub use params::IpcParams;
 pub use raw_topics::{LiveTopics, RawPublisher, RawRefusal, RawShape};

@@ -5,16 +5,18 @@
 //! used, and its default of waiting for slow receivers neither.
 
 use super::error::IpcError;
+use super::files::{self, SHARED_MEMORY};
 use super::params::IpcParams;
+use super::probe::{OpenFiles, Probe};
 use super::root::{DaemonLock, SetupLock, prepare};
-use super::session::Session;
+use super::session::{Session, living_others};
+use super::topics::Topic;
 use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::prelude::{
     BackpressureStrategy, Config, LogLevel, Node, NodeBuilder, NodeName, SemanticString, SignalHandlingMode,
     ipc_threadsafe, set_log_level,
 };
-use std::fs::File;
-use std::os::unix::fs::MetadataExt;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::time::Duration;
@@ -26,8 +28,12 @@ pub(super) type Transport = ipc_threadsafe::Service;
 const SETUP_LIMIT: Duration = Duration::from_secs(3);
 /// Longest wait for another process's set-up.
 const LOCK_LIMIT: Duration = Duration::from_millis(1_500);
-/// Where the transport's payloads lie.
-const SHARED_MEMORY: &str = "/dev/shm";
+/// Descriptors of the transport's registration of a process, and of what a program opens besides: log, GPU, pipes.
+const DESCRIPTORS_SPARE: u64 = 24;
+/// Descriptors that are asked for where fewer are allowed but more are to be had.
+const DESCRIPTORS_WANTED: u64 = 1_024;
+/// Files of the registration of a process, and room for a late client's connections.
+const SPARE_BYTES: u64 = 64 * 1024;
 
 /// Root, prefix and configuration of the transport, checked. Cheap to clone.
 #[derive(Debug, Clone)]
@@ -38,7 +44,54 @@ pub struct Ipc {
 }
 
 /// Keeps the transport's registration of this process; dropped last.
-pub(super) type Registration = Node<Transport>;
+#[derive(Debug)]
+pub(super) struct Registration {
+    probe: Probe,
+    _node: Node<Transport>,
+}
+
+impl Registration {
+    /// A file of ours that was deleted or replaced under us: nobody who comes now can hear us.
+    pub(super) fn lost(&self) -> Option<&Path> {
+        self.probe.lost()
+    }
+}
+
+/// What a set-up will take, so that it is refused before it begins.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Needs {
+    bytes: u64,
+    descriptors: u64,
+}
+
+impl Needs {
+    /// Those of a process without ports.
+    pub(super) fn new() -> Self {
+        Self { bytes: SPARE_BYTES, descriptors: DESCRIPTORS_SPARE }
+    }
+
+    /// And of a publisher of samples of up to `len` elements, with all subscribers that it can get.
+    pub(super) fn publisher(self, topic: &Topic, len: usize) -> Self {
+        let descriptors = self.descriptors + 4 + topic.qos.subscribers_max as u64;
+        Self { bytes: self.bytes + topic.publisher_bytes(len), descriptors }
+    }
+
+    /// And of a subscriber, with all publishers that it can get.
+    pub(super) fn subscriber(self, topic: &Topic) -> Self {
+        let descriptors = self.descriptors + 3 + 2 * topic.qos.publishers_max as u64;
+        Self { bytes: self.bytes + topic.subscriber_bytes(), descriptors }
+    }
+
+    /// And of `bytes` more.
+    pub(super) fn spare(self, bytes: u64) -> Self {
+        Self { bytes: self.bytes + bytes, ..self }
+    }
+
+    /// Bytes of shared memory.
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+}
 
 impl Ipc {
     /// Makes or checks the root directory and fixes the transport's configuration.
@@ -82,34 +135,26 @@ impl Ipc {
         DaemonLock::acquire(&self.root, &self.prefix)
     }
 
-    /// Refuses to begin where shared memory cannot hold `needed` bytes: later that would be a bus error.
-    pub(super) fn check_space(&self, needed: u64) -> Result<(), IpcError> {
-        let Ok(space) = rustix::fs::statvfs(SHARED_MEMORY) else { return Ok(()) };
-        let free = space.f_bavail.saturating_mul(space.f_frsize);
-        if needed <= free { Ok(()) } else { Err(IpcError::NoSpace { place: SHARED_MEMORY, needed, free }) }
-    }
-
-    /// Reserves every page of the payload memory made under our prefix, so that no later write can fail.
-    pub(super) fn reserve_memory(&self) -> Result<(), IpcError> {
-        let Ok(entries) = std::fs::read_dir(SHARED_MEMORY) else { return Ok(()) };
-        for entry in entries.flatten() {
-            let name = entry.file_name();
-            let Some(name) = name.to_str() else { continue };
-            if !name.starts_with(&self.prefix) || !name.ends_with(".data") {
-                continue;
-            }
-            let Ok(file) = File::options().read(true).write(true).open(entry.path()) else { continue };
-            let Ok(metadata) = file.metadata() else { continue };
-            if metadata.len() == 0 || metadata.blocks() * 512 >= metadata.len() {
-                continue;
-            }
-            #[cfg(any(target_os = "linux", target_os = "android"))]
-            if rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, metadata.len()).is_err() {
-                let free = rustix::fs::statvfs(SHARED_MEMORY).map_or(0, |space| space.f_bavail * space.f_frsize);
-                return Err(IpcError::NoSpace { place: SHARED_MEMORY, needed: metadata.len(), free });
-            }
+    /// Refuses to begin where shared memory or descriptors do not suffice: later the one would be a bus error, the other a
+    /// start that looks stuck.
+    fn check(needs: &Needs) -> Result<(), IpcError> {
+        if let Some(free) = files::free_bytes().filter(|free| needs.bytes > *free) {
+            return Err(IpcError::NoSpace { place: SHARED_MEMORY, needed: needs.bytes, free });
         }
-        Ok(())
+        let Some(open) = OpenFiles::count() else { return Ok(()) };
+        let limit = getrlimit(Resource::Nofile);
+        let needed = open + needs.descriptors;
+        if limit.current.is_none_or(|allowed| needed <= allowed) {
+            return Ok(());
+        }
+        // What the system grants a process by default is less than what it lets it ask for.
+        let wanted = limit.maximum.map_or(DESCRIPTORS_WANTED, |most| most.min(DESCRIPTORS_WANTED)).max(needed);
+        let asked = Rlimit { current: Some(wanted), maximum: limit.maximum };
+        setrlimit(Resource::Nofile, asked).map_err(|_| IpcError::NoDescriptors {
+            needed,
+            allowed: limit.maximum.or(limit.current).unwrap_or(0),
+            open,
+        })
     }
 
     pub(super) fn stuck(&self, what: String) -> IpcError {
@@ -121,13 +166,16 @@ impl Ipc {
     pub(super) fn set_up<T: Send + 'static>(
         &self,
         node_name: &'static str,
+        needs: Needs,
         make: impl FnOnce(&Session) -> Result<T, IpcError> + Send + 'static,
     ) -> Result<(Registration, T), IpcError> {
+        Self::check(&needs)?;
         let (sender, receiver) = sync_channel(1);
         let ipc = self.clone();
         let worker = std::thread::Builder::new().name(format!("{node_name} set-up"));
         let run = move || {
-            let _ = sender.send(ipc.set_up_here(node_name, make));
+            // A transport that panics over a spoilt file is a stuck one: whoever waits says so.
+            let _ = sender.send(crate::life::panic::contained(|| ipc.set_up_here(node_name, make)));
         };
         worker.spawn(run).map_err(|error| IpcError::Internal(error.to_string()))?;
         match receiver.recv_timeout(SETUP_LIMIT) {
@@ -149,6 +197,10 @@ impl Ipc {
         if lock.is_none() {
             return Err(self.stuck("another process has been setting up for too long".to_owned()));
         }
+        files::refuse_foreign(&self.prefix)?;
+        files::sweep_half_made(&self.prefix);
+        self.clear_if_alone()?;
+        let before = OpenFiles::now();
         let name = NodeName::new(node_name).map_err(|error| IpcError::Internal(format!("{error:?}")))?;
         let node = NodeBuilder::new()
             .name(&name)
@@ -164,6 +216,21 @@ impl Ipc {
                 error => self.stuck(format!("this process could not be registered ({error:?})")),
             })?;
         let made = make(&Session::new(self, &self.config, &node))?;
-        Ok((node, made))
+        files::reserve(&self.prefix)?;
+        files::close_to_others(&self.root, &self.prefix);
+        Ok((Registration { probe: Probe::since(&before, &self.root, &self.prefix), _node: node }, made))
+    }
+
+    /// Begins with nothing where nobody lives: whatever the dead left, and in what state, can then do no harm.
+    fn clear_if_alone(&self) -> Result<(), IpcError> {
+        if living_others(&self.config, None) != Some(0) {
+            return Ok(());
+        }
+        let removed = files::remove_all(&self.root, &self.prefix)
+            .map_err(|source| IpcError::CannotCreate { path: self.root.clone(), source })?;
+        if removed > 1 {
+            log::info!("{removed} files of dead processes were removed from {}", self.root.display());
+        }
+        Ok(())
     }
 }

@@ -4,7 +4,7 @@
 //! imaging. Pings are copied once, from shared memory into the daemon's own buffers, without allocating.
 
 use super::error::IpcError;
-use super::node::{Ipc, Registration};
+use super::node::{Ipc, Needs, Registration};
 use super::session::{Session, SlicePublisher, SliceSubscriber};
 use super::topics::Topic;
 use super::wire::message::{RawHeader, format_number};
@@ -109,15 +109,14 @@ impl RawPublisher {
     /// [`IpcError`], among them 69 when the sensor already has its driver and 73 for too little shared memory.
     pub fn open(ipc: &Ipc, name: &str, shape: RawShape) -> Result<Self, IpcError> {
         let topic = Topic::raw(name, shape.format);
-        ipc.check_space(topic.publisher_bytes(shape.len()))?;
-        let (registration, port) = ipc.set_up("noctule-driver", move |session| {
+        let needs = Needs::new().publisher(&topic, shape.len());
+        let (registration, port) = ipc.set_up("noctule-driver", needs, move |session| {
             Ok(match shape.format {
                 SampleFormat::Pdm => RawPort::Pdm(session.slice_publisher(&topic, shape.len())?),
                 SampleFormat::PcmI16 => RawPort::PcmI16(session.slice_publisher(&topic, shape.len())?),
                 SampleFormat::PcmF32 => RawPort::PcmF32(session.slice_publisher(&topic, shape.len())?),
             })
         })?;
-        ipc.reserve_memory()?;
         Ok(Self { port, shape, _registration: registration })
     }
 
@@ -204,7 +203,9 @@ impl LiveTopics {
     /// [`IpcError`].
     pub fn open(ipc: &Ipc, sensors: &[(String, RawShape)]) -> Result<Self, IpcError> {
         let wanted = sensors.to_vec();
-        let (registration, sensors) = ipc.set_up("noctule-live", move |session| {
+        let topics = sensors.iter().map(|(name, shape)| Topic::raw(name, shape.format));
+        let needs = topics.fold(Needs::new(), |needs, topic| needs.subscriber(&topic));
+        let (registration, sensors) = ipc.set_up("noctule-live", needs, move |session| {
             wanted.iter().map(|(name, shape)| Ok((receiving(session, name, shape)?, *shape))).collect()
         })?;
         Ok(Self { sensors, _registration: registration })

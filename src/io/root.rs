@@ -6,9 +6,15 @@
 use super::error::IpcError;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
+#[cfg(target_os = "linux")]
+use rustix::net::sockopt::socket_peercred;
 use std::fs::{DirBuilder, File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
+#[cfg(target_os = "linux")]
+use std::os::linux::net::SocketAddrExt;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
+#[cfg(target_os = "linux")]
+use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -32,6 +38,15 @@ pub(super) fn prepare(root: &Path) -> Result<(), IpcError> {
     match DirBuilder::new().mode(MODE).create(root) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(cannot(error)),
         _ => {}
+    }
+    if let Some(parent) = root.parent() {
+        let mode = std::fs::metadata(parent).map_err(cannot)?.permissions().mode();
+        if mode & 0o002 != 0 && mode & 0o1000 == 0 {
+            return Err(refuse(format!(
+                "a parent directory with mode {:04o}, where others can replace it",
+                mode & 0o7777
+            )));
+        }
     }
     let metadata = std::fs::symlink_metadata(root).map_err(cannot)?;
     if metadata.is_symlink() {
@@ -79,11 +94,37 @@ impl SetupLock {
     }
 }
 
-/// Makes two daemons under one root and prefix impossible.
+/// Makes two daemons under one root and prefix impossible: by a file that names the holder, and by a name that cannot be
+/// deleted with the root.
 #[derive(Debug)]
 pub struct DaemonLock {
     file: File,
     path: PathBuf,
+    #[cfg(target_os = "linux")]
+    name: Option<UnixListener>,
+}
+
+/// Claims a name outside of the file system for the daemon of this root and prefix. `Err` with the holder's process, if it is
+/// one of this user; a name that another user squats is no use to us and no obstacle.
+#[cfg(target_os = "linux")]
+fn claim_name(root: &Path, prefix: &str) -> Result<Option<UnixListener>, u32> {
+    let ours = rustix::process::geteuid();
+    let hash = crc32fast::hash(root.as_os_str().as_encoded_bytes());
+    let name = format!("noctule-daemon-{}-{prefix}{hash:08x}", ours.as_raw());
+    let Ok(address) = SocketAddr::from_abstract_name(name) else { return Ok(None) };
+    match UnixListener::bind_addr(&address) {
+        Ok(listener) => Ok(listener.set_nonblocking(true).is_ok().then_some(listener)),
+        Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
+            let holder = UnixStream::connect_addr(&address).and_then(|stream| Ok(socket_peercred(&stream)?));
+            match holder {
+                Ok(holder) if holder.uid == ours || holder.uid.is_root() => {
+                    Err(holder.pid.as_raw_pid().cast_unsigned())
+                }
+                _ => Ok(None),
+            }
+        }
+        Err(_) => Ok(None),
+    }
 }
 
 impl DaemonLock {
@@ -113,7 +154,14 @@ impl DaemonLock {
                 Err(Errno::INTR) => continue,
                 Err(error) => return Err(cannot(error.into())),
             }
-            let mut lock = Self { file, path: path.clone() };
+            #[cfg(target_os = "linux")]
+            let name = claim_name(root, prefix).map_err(|pid| IpcError::DaemonRunning { pid, path: path.clone() })?;
+            let mut lock = Self {
+                file,
+                path: path.clone(),
+                #[cfg(target_os = "linux")]
+                name,
+            };
             // The holder before may have removed the file between our open and our lock.
             if !lock.is_ours() {
                 lock.path = PathBuf::new();
@@ -128,6 +176,9 @@ impl DaemonLock {
     /// Whether the locked file is still the one that others would find.
     #[must_use]
     pub fn is_ours(&self) -> bool {
+        // Those who asked who holds the name and went again must not fill its queue.
+        #[cfg(target_os = "linux")]
+        while self.name.as_ref().is_some_and(|name| name.accept().is_ok()) {}
         match (self.file.metadata(), std::fs::symlink_metadata(&self.path)) {
             (Ok(held), Ok(found)) => held.ino() == found.ino() && held.dev() == found.dev(),
             _ => false,
@@ -203,6 +254,38 @@ mod tests {
         drop(lock);
         assert_eq!(std::fs::read_dir(root.path()).expect("there").count(), 0);
         assert!(DaemonLock::acquire(root.path(), "test_").is_ok());
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_second_daemon_is_refused_even_when_the_first_ones_root_was_deleted() {
+        let parent = tempfile::tempdir().expect("directory");
+        let root = parent.path().join("root");
+        prepare(&root).expect("made");
+        let lock = DaemonLock::acquire(&root, "test_").expect("free");
+        std::fs::remove_dir_all(&root).expect("deleted");
+        prepare(&root).expect("made again");
+        for _ in 0..300 {
+            match DaemonLock::acquire(&root, "test_") {
+                Err(IpcError::DaemonRunning { pid, .. }) => assert_eq!(pid, std::process::id()),
+                other => panic!("{other:?}"),
+            }
+            assert!(!lock.is_ours());
+        }
+        drop(lock);
+        assert!(DaemonLock::acquire(&root, "test_").is_ok());
+    }
+
+    #[test]
+    fn a_root_in_a_directory_where_others_can_replace_it_is_refused_with_77() {
+        let parent = tempfile::tempdir().expect("directory");
+        let open = parent.path().join("open");
+        std::fs::create_dir(&open).expect("directory");
+        let mode = |mode| std::fs::set_permissions(&open, std::fs::Permissions::from_mode(mode)).expect("changed");
+        mode(0o777);
+        assert_eq!(prepare(&open.join("root")).expect_err("refused").exit_code(), 77);
+        mode(0o1777);
+        prepare(&open.join("root")).expect("as in /tmp: others can make files there, but not replace ours");
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! carries the schema hash of its type as an attribute; a peer with another layout is refused here.
 
 use super::error::IpcError;
+use super::files;
 use super::node::{Ipc, Transport};
 use super::topics::{NODES_MAX, SCHEMA_ATTRIBUTE, Topic};
 use super::wire::{WireType, force_remove_service};
@@ -11,13 +12,14 @@ use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
 use iceoryx2::port::update_connections::UpdateConnections as _;
 use iceoryx2::prelude::{
-    AllocationStrategy, AttributeVerifier, BackpressureStrategy, CallbackProgression, Config, Node, NodeState,
-    PortFactory as _, ServiceName, ZeroCopySend,
+    AllocationStrategy, AttributeVerifier, BackpressureStrategy, CallbackProgression, Config, MessagingPattern, Node,
+    NodeState, PortFactory as _, Service, ServiceName, ZeroCopySend,
 };
 use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use iceoryx2::service::service_hash::ServiceHash;
 use std::fmt::Debug;
 use std::time::Duration;
 
@@ -51,7 +53,8 @@ macro_rules! open_service {
             .history_size($topic.qos.history)
             .enable_safe_overflow(true)
             .open_or_create_with_attributes(&schema_attribute($topic).map_err(Failure::Final)?)
-            .map_err(|error| $session.service_failure($topic, error))?
+            .map_err(|error| $session.service_failure($topic, error))
+            .and_then(|service| $session.with_our_limits($topic, service))?
     };
 }
 
@@ -126,8 +129,8 @@ impl<'a> Session<'a> {
         Ok(SliceSubscriber { port })
     }
 
-    /// The ladder: try; clean dead nodes and try; wait a moment and try; where nobody else lives, remove the service by
-    /// force and try.
+    /// The ladder: try; clean dead nodes, take away a service that cannot be opened and that nobody alive uses, and try; wait a
+    /// moment and try; where nobody else lives, remove the service by force and try.
     fn climb<T>(&self, topic: &Topic, attempt: impl Fn(&ServiceName) -> Result<T, Failure>) -> Result<T, IpcError> {
         let name = ServiceName::new(&topic.name)
             .map_err(|error| IpcError::Internal(format!("service name {}: {error:?}", topic.name)))?;
@@ -138,7 +141,12 @@ impl<'a> Session<'a> {
                 Err(Failure::Retry(error)) => error,
             };
             match step {
-                0 => drop(self.node.blocking_cleanup_dead_nodes(CLEANUP_LIMIT)),
+                0 => {
+                    let _ = self.node.blocking_cleanup_dead_nodes(CLEANUP_LIMIT);
+                    if matches!(error, IpcError::Stuck { .. }) {
+                        self.take_away_unused(&name);
+                    }
+                }
                 1 => std::thread::sleep(LEAVING_PAUSE),
                 2 if matches!(error, IpcError::Stuck { .. } | IpcError::Incompatible { .. }) && self.alone() => {
                     force_remove_service(self.node, &name);
@@ -149,18 +157,87 @@ impl<'a> Session<'a> {
         Err(self.ipc.stuck(topic.name.clone()))
     }
 
-    /// Whether no other living process is registered under our root and prefix. What is registered by halves was left so
-    /// by a process that died: whoever sets up holds the root's lock, and we do.
-    fn alone(&self) -> bool {
-        let mut others = 0;
+    /// Takes away the file that announces a service, unless a living process uses it. It may be half written, or announce
+    /// what is gone: the transport waits a second for it at each opening, and does not remove it when asked to.
+    fn take_away_unused(&self, name: &ServiceName) {
+        let hash =
+            ServiceHash::new::<<Transport as Service>::ServiceNameHasher>(name, MessagingPattern::PublishSubscribe);
+        let mut used = false;
         let listed = Node::<Transport>::list(self.config, |state| {
-            let alive = matches!(&state, NodeState::Alive(_) | NodeState::Inaccessible(_));
-            if alive && state.node_id() != self.node.id() {
-                others += 1;
+            if matches!(&state, NodeState::Alive(_) | NodeState::Inaccessible(_)) {
+                let node = state.node_id().value();
+                used |= files::service_tag(self.ipc.root(), self.ipc.prefix(), node, hash.as_str()).exists();
             }
             CallbackProgression::Continue
         });
-        listed.is_ok() && others == 0
+        if listed.is_ok() && !used && files::remove_service_file(self.ipc.root(), self.ipc.prefix(), hash.as_str()) {
+            log::warn!("service {name} was left unusable by a dead process and is made again");
+        }
+    }
+
+    /// Whether no other living process is registered under our root and prefix. What is registered by halves was left so
+    /// by a process that died: whoever sets up holds the root's lock, and we do.
+    fn alone(&self) -> bool {
+        living_others(self.config, Some(self.node)) == Some(0)
+    }
+
+    /// Refuses a service that admits more than the topic does. The transport takes the limits that it is given as the least
+    /// that must be: a squatter's service with room for two publishers would make the daemon one commander of two.
+    fn with_our_limits<P, H>(
+        &self,
+        topic: &Topic,
+        service: PortFactory<Transport, P, H>,
+    ) -> Result<PortFactory<Transport, P, H>, Failure>
+    where
+        P: Debug + iceoryx2::prelude::IceoryxSend + ?Sized + 'static,
+        H: Debug + ZeroCopySend,
+    {
+        let found = service.static_config();
+        let (publishers, history) = (found.max_publishers(), found.history_size());
+        if publishers <= topic.qos.publishers_max && history <= topic.qos.history {
+            return Ok(service);
+        }
+        Err(self.incompatible(topic, &format!("room for {publishers} publishers, history {history}")))
+    }
+
+    /// What is there, made by whom, against what we expect.
+    fn incompatible(&self, topic: &Topic, why: &str) -> Failure {
+        let layout = topic.header.unwrap_or(topic.payload);
+        Failure::Retry(IpcError::Incompatible {
+            service: topic.name.clone(),
+            found: self.describe_found(topic).unwrap_or_else(|| why.to_owned()),
+            expected: describe(
+                &format!("{:016x}", topic.schema_hash()),
+                layout.type_name,
+                layout.size,
+                topic.qos.publishers_max,
+                topic.qos.history,
+            ),
+        })
+    }
+
+    fn describe_found(&self, topic: &Topic) -> Option<String> {
+        let name = ServiceName::new(&topic.name).ok()?;
+        let details = Transport::details(&name, self.config, MessagingPattern::PublishSubscribe).ok()??;
+        let found = &details.static_details;
+        let key = SCHEMA_ATTRIBUTE.try_into().ok()?;
+        let schema = found.attributes().key_value(&key, 0).map_or("none".to_owned(), ToString::to_string);
+        let limits = found.publish_subscribe();
+        let types = limits.message_type_details();
+        let layout = if topic.header.is_some() { &types.user_header } else { &types.payload };
+        let (publishers, history) = (limits.max_publishers(), limits.history_size());
+        let mut text = describe(&schema, &layout.type_name().to_string(), layout.size(), publishers, history);
+        let nodes = details.dynamic_details.map_or_else(Vec::new, |dynamic| dynamic.nodes);
+        let holders: Vec<String> = nodes
+            .iter()
+            .filter(|node| node.node_id() != self.node.id())
+            .filter_map(|node| node.node_id().pid::<Transport>().ok())
+            .map(|pid| pid.value().to_string())
+            .collect();
+        if !holders.is_empty() {
+            text.push_str(&format!(", held by process {}", holders.join(", ")));
+        }
+        Some(text)
     }
 
     fn service_failure(&self, topic: &Topic, error: PublishSubscribeOpenOrCreateError) -> Failure {
@@ -168,13 +245,7 @@ impl<'a> Session<'a> {
         use PublishSubscribeOpenOrCreateError::{
             PublishSubscribeCreateError as Created, PublishSubscribeOpenError as Opened,
         };
-        let incompatible = || {
-            Failure::Retry(IpcError::Incompatible {
-                service: topic.name.clone(),
-                found: format!("{error:?}"),
-                expected: format!("{:016x}", topic.schema_hash()),
-            })
-        };
+        let incompatible = || self.incompatible(topic, &format!("{error:?}"));
         match error {
             Opened(
                 Open::IncompatibleTypes
@@ -200,6 +271,23 @@ impl<'a> Session<'a> {
             error => Failure::Retry(self.ipc.stuck(format!("service {} cannot be opened ({error:?})", topic.name))),
         }
     }
+}
+
+/// Living nodes under the root and prefix of `config` but for `ours`; `None` when they cannot be listed.
+pub(super) fn living_others(config: &Config, ours: Option<&Node<Transport>>) -> Option<usize> {
+    let mut others = 0;
+    let listed = Node::<Transport>::list(config, |state| {
+        let alive = matches!(&state, NodeState::Alive(_) | NodeState::Inaccessible(_));
+        if alive && Some(state.node_id()) != ours.map(Node::id) {
+            others += 1;
+        }
+        CallbackProgression::Continue
+    });
+    listed.is_ok().then_some(others)
+}
+
+fn describe(schema: &str, type_name: &str, size: usize, publishers: usize, history: usize) -> String {
+    format!("schema {schema} of {type_name} ({size} bytes), publishers {publishers}, history {history}")
 }
 
 fn schema_attribute(topic: &Topic) -> Result<AttributeVerifier, IpcError> {

@@ -1,7 +1,7 @@
 //! What daemon and controller tell of themselves, for whoever watches: `demo`, and tests.
 
 use super::error::IpcError;
-use super::node::{Ipc, Registration};
+use super::node::{Ipc, Needs, Registration};
 use super::session::FixedSubscriber;
 use super::topics::Topic;
 use super::wire::WireType;
@@ -24,7 +24,9 @@ impl StatusTopics {
     /// # Errors
     /// [`IpcError`].
     pub fn open(ipc: &Ipc) -> Result<Self, IpcError> {
-        let (registration, (health, cues, command, platform)) = ipc.set_up("noctule-status", |session| {
+        let heard = [Topic::health(), Topic::cues(), Topic::command(), Topic::platform()];
+        let needs = heard.iter().fold(Needs::new(), Needs::subscriber);
+        let (registration, (health, cues, command, platform)) = ipc.set_up("noctule-status", needs, |session| {
             Ok((
                 session.subscriber(&Topic::health())?,
                 session.subscriber(&Topic::cues())?,

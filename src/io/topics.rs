@@ -36,6 +36,8 @@ pub(super) const NODES_MAX: usize = 32;
 const TRANSPORT_HEADER_BYTES: usize = 64;
 /// Management data of a publisher's memory, and of its connections, per sample of its pool.
 const POOL_ENTRY_BYTES: usize = 64;
+/// Shared memory is taken by the page.
+const PAGE_BYTES: usize = 4096;
 /// Fixed part of a service's and a publisher's management files.
 const SERVICE_BYTES: usize = 48 * 1024;
 
@@ -275,6 +277,13 @@ impl Topic {
         let header = self.header.map_or(0, |header| header.size + header.alignment);
         let sample = TRANSPORT_HEADER_BYTES + header + self.payload.size * len + self.payload.alignment;
         (self.pool() * (sample + POOL_ENTRY_BYTES) + SERVICE_BYTES) as u64
+    }
+
+    /// Upper bound of the shared memory that a subscriber's service and connections take, in whole pages.
+    #[must_use]
+    pub fn subscriber_bytes(&self) -> u64 {
+        let connection = POOL_ENTRY_BYTES * (self.qos.buffer + self.qos.borrowed + self.pool()) + PAGE_BYTES;
+        (2 * PAGE_BYTES + self.qos.publishers_max * connection.next_multiple_of(PAGE_BYTES)) as u64
     }
 
     fn json(&self) -> Value {

@@ -3,10 +3,11 @@
 //! A command is published after every ping set, in every state, and otherwise only to say stop: no timer ever repeats an
 //! old command. The order within a ping set is command, energyscapes, cues, so that nobody's reading delays the robot.
 
-use super::acquisition::{Delivered, Heartbeat};
+use super::acquisition::Delivered;
 use super::handoff::{Taken, Taker};
 use super::health::Reporter;
 use super::pipeline::{Outcome, Pipeline};
+use super::watching::Progress;
 use crate::geometry::Pose2;
 use crate::io::DaemonTopics;
 use crate::io::wire::message::{
@@ -63,7 +64,7 @@ impl DecisionLoop {
         mut buffer: Delivered,
         stop: &AtomicBool,
         limit: Option<Duration>,
-        heartbeat: &Arc<Heartbeat>,
+        progress: &Arc<Progress>,
     ) -> Ended {
         let mut first_set_at = None;
         let mut probed_at = SystemClock.now();
@@ -76,12 +77,13 @@ impl DecisionLoop {
             match taker.take(&mut buffer, WAIT) {
                 Taken::Fresh => {
                     self.ping_set(&mut buffer, taker.dropped());
+                    progress.processed(self.last_emitted_at);
                     first_set_at.get_or_insert(self.last_emitted_at);
                 }
                 Taken::Nothing => self.watch_ages(),
                 Taken::Closed => break Ended::Asked,
             }
-            heartbeat.beat();
+            progress.beat(self.pipeline.daemon().state(), self.pipeline.daemon().reason());
             let now = SystemClock.now();
             self.reporter.report(now, &self.pipeline, &self.topics);
             if let Some(code) = self.reporter.exit_code {

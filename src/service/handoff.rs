@@ -142,4 +142,20 @@ mod tests {
         }
         assert_eq!(seen.len(), 3, "three buffers and no other");
     }
+
+    #[test]
+    fn a_poisoned_lock_holds_nobody_up_and_loses_nothing() {
+        let (giver, taker) = handoff(0);
+        let shared = Arc::clone(&giver.shared);
+        let died = std::thread::spawn(move || {
+            let _held = shared.lock();
+            panic!("planted");
+        });
+        assert!(died.join().is_err() && giver.shared.middle.is_poisoned());
+        let (mut mine, mut yours) = (5, 0);
+        giver.give(&mut mine);
+        assert_eq!((taker.take(&mut yours, Duration::ZERO), yours), (Taken::Fresh, 5));
+        drop(giver);
+        assert_eq!(taker.take(&mut yours, Duration::ZERO), Taken::Closed);
+    }
 }

@@ -2,8 +2,8 @@
 //!
 //! Three threads. The *acquiring* thread asks the source for ping sets and hands them on, newest first
 //! ([`acquisition`], [`handoff`]). The *deciding* thread images, decides and publishes ([`decision`], around
-//! [`pipeline`]). The *watching* thread is the caller's: it waits for the end and ends the process when one of the others
-//! dies or hangs, since a daemon with a thread missing must not go on.
+//! [`pipeline`]). The *watching* thread is the caller's: it has the last word to the robot, and ends the process when one of the
+//! others dies or hangs, since a daemon with a thread missing must not go on ([`watching`]).
 //!
 //! The same pipeline is driven in simulation, faster than real time: one robot in [`trial`], many in [`proving`], and
 //! sensor layouts are ranked by that in [`sweep`].
@@ -22,10 +22,12 @@ pub mod soak;
 pub mod supervisor;
 pub mod sweep;
 pub mod trial;
+pub mod watching;
 pub mod wiring;
 
 use crate::config::Config;
 use crate::control::default_regions;
+use crate::flow::MaskSet;
 use crate::imaging::backend::BackendError;
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
@@ -36,24 +38,19 @@ use crate::io::source::{Source, SourceError};
 use crate::io::wire::message::EnergyscapeHeader;
 use crate::io::wire::telemetry::CueThresholds;
 use crate::io::{DaemonTopics, Ipc, IpcError, LiveTopics, RawShape};
+use crate::life::Stop;
 use crate::parameter::ParameterError;
 use crate::signal::PingSet;
 use crate::sim::{RobotParams, SimError, SimParams, Simulator, World};
 use crate::time::{Clock, Stamp, SystemClock};
-use acquisition::{Delivered, Heartbeat};
-use decision::{DecisionLoop, Ended};
+use acquisition::Delivered;
+use decision::DecisionLoop;
 use health::Reporter;
 use pipeline::Pipeline;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use wiring::SensingSetup;
-
-/// A thread that gives no beat for this long hangs.
-const HANG_LIMIT: Duration = Duration::from_secs(2);
-/// Longest start of a source or backend before the beats are counted.
-const START_LIMIT: Duration = Duration::from_secs(10);
 
 /// Where ping sets come from.
 #[derive(Debug, Clone)]
@@ -107,7 +104,7 @@ pub enum ServiceError {
     Internal(String),
 }
 
-/// Runs the daemon until `stop` is set, the source ends, or `limit` has passed since the first ping set.
+/// Runs the daemon until `stop` is asked, the source ends, or `limit` has passed since the first ping set.
 ///
 /// # Errors
 /// [`ServiceError`]. Before it returns for any reason but a dead thread, zero was published.
@@ -116,27 +113,57 @@ pub fn run(
     source: &SourceChoice,
     prefer: Prefer,
     limit: Option<Duration>,
-    stop: &Arc<AtomicBool>,
+    stop: &Stop,
 ) -> Result<(), ServiceError> {
     let setup = wiring::sensing(config)?;
     let masks = wiring::masks(config, &setup)?;
     setup.hidden.iter().for_each(|what| log::info!("hidden: {what}"));
     setup.warnings.iter().for_each(|what| log::warn!("{what}"));
     log::info!("{}", stopping_line(config));
-    let ipc = Ipc::open(&config.ipc)?;
-    let names: Vec<String> = setup.sensors.iter().map(|sensor| sensor.name.clone()).collect();
-    let cells = vec![setup.plan.grid.cell_count(); names.len()];
-    let topics = DaemonTopics::open(&ipc, &names, &cells)?;
     let options = ImagerOptions { threads: None, gpu_deadline_ms: config.safety.gpu_deadline().as_millis() as u64 };
     let imager = Imager::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), prefer, options)?;
     imager.announce();
-    let source = open_source(config, &setup, source, &ipc)?;
+    // Opening a driver may take seconds, during which a signal may end the process as it stands. Shared memory is put in order.
+    stop.hold();
+    let ipc = Ipc::open(&config.ipc)?;
+    let choice = source;
+    let open = |setup: &SensingSetup| open_source(config, setup, choice, &ipc);
+    drive(config, Parts { setup, masks, imager }, &ipc, open, limit, stop)
+}
+
+/// What the daemon works with, made elsewhere.
+pub struct Parts {
+    /// The sensors.
+    pub setup: SensingSetup,
+    /// The regions.
+    pub masks: MaskSet,
+    /// The backends.
+    pub imager: Imager,
+}
+
+/// As [`run`], with the parts and the source given: whoever brings a source of his own, a test for one, begins here.
+///
+/// # Errors
+/// As [`run`].
+pub fn drive(
+    config: &Config,
+    parts: Parts,
+    ipc: &Ipc,
+    open_source: impl FnOnce(&SensingSetup) -> Result<Box<dyn Source + Send>, ServiceError>,
+    limit: Option<Duration>,
+    stop: &Stop,
+) -> Result<(), ServiceError> {
+    let Parts { setup, masks, imager } = parts;
+    let names: Vec<String> = setup.sensors.iter().map(|sensor| sensor.name.clone()).collect();
+    let cells = vec![setup.plan.grid.cell_count(); names.len()];
+    let topics = DaemonTopics::open(ipc, &names, &cells)?;
+    let source = open_source(&setup)?;
     log::info!("source: {}", source.describe());
     let empty = Delivered { pings: empty_ping_set(&setup), wanted: None };
     let epoch = topics.epoch();
     let pipeline = Pipeline::new(config, setup, masks, imager, epoch, SystemClock.now());
-    let decision = decision_loop(config, pipeline, topics, &ipc);
-    supervise(decision, source, empty, limit, stop)
+    let decision = decision_loop(config, pipeline, topics, ipc);
+    watching::supervise(decision, source, empty, limit, stop)
 }
 
 fn stopping_line(config: &Config) -> String {
@@ -240,56 +267,5 @@ fn decision_loop(config: &Config, pipeline: Pipeline, topics: DaemonTopics, ipc:
         last_emitted_at: Stamp::default(),
         pipeline,
         topics,
-    }
-}
-
-/// Starts the two working threads and watches them from this one.
-fn supervise(
-    mut decision: DecisionLoop,
-    source: Box<dyn Source + Send>,
-    empty: Delivered,
-    limit: Option<Duration>,
-    stop: &Arc<AtomicBool>,
-) -> Result<(), ServiceError> {
-    let internal = |what: std::io::Error| ServiceError::Internal(format!("no thread: {what}"));
-    let (giver, taker) = handoff::handoff(empty.clone());
-    let beats = [Arc::new(Heartbeat::default()), Arc::new(Heartbeat::default())];
-    let acquirer =
-        acquisition::start(source, giver, empty.clone(), Arc::clone(stop), Arc::clone(&beats[0])).map_err(internal)?;
-    let (stopping, beat) = (Arc::clone(stop), Arc::clone(&beats[1]));
-    let decider = std::thread::Builder::new()
-        .name("noctule-decide".to_owned())
-        .spawn(move || {
-            let ended = decision.run(&taker, empty, &stopping, limit, &beat);
-            (ended, decision.reason_text(), decision.root_text())
-        })
-        .map_err(internal)?;
-    let mut watched = beats.map(|beat| (beat, 0_u64, Instant::now() + START_LIMIT));
-    while !decider.is_finished() {
-        std::thread::sleep(Duration::from_millis(5));
-        for (beat, seen, deadline) in &mut watched {
-            let count = beat.count();
-            if count != *seen {
-                *seen = count;
-                *deadline = Instant::now() + HANG_LIMIT;
-            }
-        }
-        let hangs = |index: usize| Instant::now() > watched[index].2;
-        // The acquiring thread may be done before the deciding one; the deciding one may not be missing at all.
-        if hangs(1) || (hangs(0) && !acquirer.is_finished()) {
-            return Err(ServiceError::Internal(
-                "a thread hangs: the process ends, the controller stops the robot".to_owned(),
-            ));
-        }
-    }
-    stop.store(true, Ordering::Relaxed);
-    let (ended, reason, root) =
-        decider.join().map_err(|_| ServiceError::Internal("the deciding thread died".to_owned()))?;
-    let acquired = acquirer.join().map_err(|_| ServiceError::Internal("the acquiring thread died".to_owned()))?;
-    acquired?;
-    match ended {
-        Ended::Asked => Ok(()),
-        Ended::Code(code) => Err(ServiceError::Gave { code, reason }),
-        Ended::RootLost => Err(ServiceError::RootLost(root)),
     }
 }

@@ -192,7 +192,8 @@ struct Spools {
 impl Spools {
     fn create(folder: &Path, expected: u64, grid: &PolarGrid) -> Result<Self, Failure> {
         let mut energyscape = NewFile::create(&folder.join("energyscape.npy"))?;
-        energyscape.write_all(&npy_header(expected, grid)?)?;
+        let header = npy_header(expected, grid)?;
+        energyscape.write_all(&header).map_err(|error| energyscape.failure(&error))?;
         // Without a name at once, so that nothing is left of it however the process ends.
         let path: PathBuf = folder.join("channels.partial");
         let cannot = |error: std::io::Error| super::super::output::cannot_create(&path, &error);
@@ -219,7 +220,8 @@ impl Images for Outputs<'_> {
         let bytes: &[u8] = bytemuck::cast_slice(values);
         spools.energyscape.write_all(bytes).map_err(|error| spools.energyscape.failure(&error))?;
         let separator = if index == 0 { "\n    " } else { ",\n    " };
-        write!(spools.channels, "{separator}{}", channel_summary(channels))?;
+        write!(spools.channels, "{separator}{}", channel_summary(channels))
+            .map_err(|error| spools.energyscape.failure(&error))?;
         if channels.gains.iter().all(|gain| *gain == 0.0) {
             let input = self.job.target.input.display();
             bar.suspend(|| eprintln!("noctule: {input}: ping {index}: every channel is left out, the image is zero"));
@@ -246,14 +248,17 @@ fn finish_energyscape(mut file: NewFile, count: u64, grid: &PolarGrid) -> Result
 
 /// Writes the meta data with a line for each ping, which were never in memory together.
 fn write_meta(path: &Path, meta: &Value, channels: BufWriter<File>) -> Result<(), Failure> {
-    let mut lines = channels.into_inner().map_err(|error| Failure::from(error.into_error()))?;
-    lines.rewind()?;
     let text = format!("{meta:#}");
     let open = text.trim_end().trim_end_matches('}').trim_end();
     let mut file = NewFile::create(path)?;
-    write!(file, "{open},\n  \"channels\": [")?;
-    std::io::copy(&mut lines, &mut file)?;
-    file.write_all(b"\n  ]\n}\n")?;
+    let written = (|| {
+        let mut lines = channels.into_inner().map_err(std::io::IntoInnerError::into_error)?;
+        lines.rewind()?;
+        write!(file, "{open},\n  \"channels\": [")?;
+        std::io::copy(&mut lines, &mut file)?;
+        file.write_all(b"\n  ]\n}\n")
+    })();
+    written.map_err(|error| file.failure(&error))?;
     file.finish()
 }
 

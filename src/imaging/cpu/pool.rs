@@ -198,4 +198,24 @@ mod tests {
         assert!(!pool.run(2, || {}));
         assert!(!pool.run(1, || {}));
     }
+
+    #[test]
+    fn in_a_daemon_a_panic_of_the_pool_ends_the_process_with_70() {
+        const CHILD: &str = "NOCTULE_TEST_POOL_CHILD";
+        if std::env::var_os(CHILD).is_some() {
+            crate::life::panic::end_on_panic(&Arc::default());
+            let work = counter(Some(2));
+            let pool = Pool::start(&work, 3).unwrap();
+            assert!(pool.run(1, || {}));
+            pool.run(2, || {});
+            std::thread::sleep(Duration::from_secs(10));
+            std::process::exit(0);
+        }
+        let program = std::env::current_exe().unwrap();
+        let test = "imaging::cpu::pool::tests::in_a_daemon_a_panic_of_the_pool_ends_the_process_with_70";
+        let began = Instant::now();
+        let output = std::process::Command::new(program).args(["--exact", test]).env(CHILD, "1").output().unwrap();
+        assert_eq!(output.status.code(), Some(70));
+        assert!(began.elapsed() < Duration::from_secs(5));
+    }
 }

@@ -139,7 +139,7 @@ pub(super) fn poison_buffer(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
 /// Runs a call into wgpu that may panic; the panic's message is the error.
 pub(super) fn catching<T>(call: impl FnOnce() -> T) -> Result<T, String> {
     POLLING.set(true);
-    let result = std::panic::catch_unwind(AssertUnwindSafe(call));
+    let result = std::panic::catch_unwind(AssertUnwindSafe(|| crate::life::panic::contained(call)));
     POLLING.set(false);
     result.map_err(|panic| {
         let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());

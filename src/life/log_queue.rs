@@ -20,7 +20,7 @@ enum Entry {
 
 /// The writing end, which never waits.
 #[derive(Clone)]
-pub(super) struct LogQueue {
+pub struct LogQueue {
     queue: SyncSender<Entry>,
     dropped: Arc<AtomicU64>,
 }
@@ -30,7 +30,7 @@ impl LogQueue {
     ///
     /// # Errors
     /// If the system refuses a thread.
-    pub(super) fn start(sink: impl Write + Send + 'static) -> io::Result<Self> {
+    pub fn start(sink: impl Write + Send + 'static) -> io::Result<Self> {
         let (queue, entries) = sync_channel(QUEUE);
         let dropped = Arc::new(AtomicU64::new(0));
         let counted = Arc::clone(&dropped);
@@ -39,7 +39,7 @@ impl LogQueue {
     }
 
     /// Waits until what was written so far is on the sink, at most for `limit`.
-    pub(super) fn finish(&self, limit: Duration) {
+    pub fn finish(&self, limit: Duration) {
         let (answer, done) = sync_channel(1);
         if self.queue.try_send(Entry::Flush(answer)).is_ok() {
             let _: Result<(), RecvTimeoutError> = done.recv_timeout(limit);
@@ -132,5 +132,40 @@ mod tests {
         let text = String::from_utf8(written.lock().unwrap().clone()).unwrap();
         assert!(text.contains("line 0\nline 1\n") && text.ends_with("last\n"), "{text}");
         assert!(text.contains("lines of the log were dropped"), "{text}");
+    }
+
+    /// Panics when it is written to.
+    struct Trap;
+
+    impl Write for Trap {
+        fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+            panic!("planted");
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_panic_of_the_log_ends_the_process_with_70() {
+        const CHILD: &str = "NOCTULE_TEST_LOG_CHILD";
+        if std::env::var_os(CHILD).is_some() {
+            crate::life::panic::end_on_panic(&Arc::default());
+            let mut queue = LogQueue::start(Trap).unwrap();
+            queue.write_all(b"line\n").unwrap();
+            std::thread::sleep(Duration::from_secs(10));
+            std::process::exit(0);
+        }
+        let program = std::env::current_exe().unwrap();
+        let test = "life::log_queue::tests::a_panic_of_the_log_ends_the_process_with_70";
+        let began = Instant::now();
+        let output =
+            std::process::Command::new(program).args(["--exact", test, "--nocapture"]).env(CHILD, "1").output();
+        let output = output.unwrap();
+        assert_eq!(output.status.code(), Some(70));
+        assert!(began.elapsed() < Duration::from_secs(5));
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(told.contains("thread log") && told.contains("planted"), "{told}");
     }
 }
