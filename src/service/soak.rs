@@ -2,7 +2,7 @@
 //! whether it stopped in time, stood as long as it had to, went on when it might, and never moved when it must not.
 //!
 //! Goes in: a robot, a world, [`SoakOptions`]. Comes out: a [`Summary`]. What decides is the daemon's pipeline and the controller's gate
-//! ([`super::drive`]); the GPU is a drill on the CPU, so that it can fail too. The simulated time is the only clock: equal options
+//! ([`mod@super::drive`]); the GPU is a drill on the CPU, so that it can fail too. The simulated time is the only clock: equal options
 //! give equal runs, bit by bit.
 
 mod footprint;
