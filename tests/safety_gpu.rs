@@ -6,6 +6,7 @@ mod common;
 
 use checks::{figure, trials};
 use common::Random;
+use common::lap::Lap;
 use common::scenes::{Case, random_masks};
 use noctule::imaging::backend::{Backend, BackendError, BackendKind, Image};
 use noctule::imaging::cpu::CpuBackend;
@@ -23,7 +24,7 @@ const PERIOD_NS: u64 = 100_000_000;
 const SECOND_NS: u64 = 1_000_000_000;
 /// The GPU's deadline: how much later than otherwise a ping set may be that is done again.
 const LATE_MAX: Duration = Duration::from_millis(60);
-/// What this machine may take for a ping set besides, other programs running.
+/// What a ping set may take besides: caches that other programs have emptied.
 const NOISE: Duration = Duration::from_millis(20);
 
 /// One sensor, nine directions, four ping sets and the CPU's images of them.
@@ -82,9 +83,9 @@ impl Scene {
         self.sequence += 1;
         let index = self.sequence as usize % self.sets.len();
         self.sets[index].sequence = self.sequence;
-        let begin = Instant::now();
+        let lap = Lap::start();
         let image = imager.image(&self.sets[index]).expect("no ping set is lost");
-        let took = begin.elapsed();
+        let took = lap.took();
         assert_eq!(image.sequence, self.sequence);
         let truth = &self.truths[index];
         let wrong = image.energyscapes[0].values != truth.energyscapes[0].values || image.sums != truth.sums;

@@ -9,6 +9,7 @@ mod common;
 use checks::{figure, trials};
 use common::Random;
 use common::gpu::gpu;
+use common::lap::Lap;
 use common::scenes::{Case, random_masks};
 use noctule::imaging::backend::{Backend, BackendError, BackendKind, Image};
 use noctule::imaging::gpu::{AdapterKind, GpuBackend};
@@ -26,7 +27,7 @@ use std::time::{Duration, Instant};
 /// Names the test that a child process is to run.
 const CHILD: &str = "NOCTULE_TEST_IN_CHILD";
 const DEADLINE_MS: u64 = 60;
-/// What this machine may take for a ping set besides, other programs running.
+/// What a ping set may take besides: the software adapter computes on the very cores that are measured.
 const NOISE: Duration = Duration::from_millis(20);
 
 /// True in the child process that is to run the test `name`; otherwise starts it and demands that it ends well, in time.
@@ -103,9 +104,9 @@ impl Rig {
         self.sequence += 1;
         let index = self.sequence as usize % self.sets.len();
         self.sets[index].sequence = self.sequence;
-        let begin = Instant::now();
+        let lap = Lap::start();
         let image = imager.image(&self.sets[index]).expect("no ping set is lost");
-        let took = begin.elapsed();
+        let took = lap.took();
         self.slowest = self.slowest.max(took);
         assert_eq!(image.sequence, self.sequence);
         let truth: Vec<f64> = self.truths[index].energyscapes[0].values.iter().map(|value| f64::from(*value)).collect();
@@ -214,9 +215,9 @@ fn a_shader_that_does_not_end_in_time_is_given_up_within_80_ms_and_at_the_end_no
     let mut worst = Duration::ZERO;
     for trial in 0..count {
         pings.sequence += 1;
-        let begin = Instant::now();
+        let lap = Lap::start();
         let error = backend.image(&pings, &mut image).expect_err("a software adapter is never so fast");
-        worst = worst.max(begin.elapsed());
+        worst = worst.max(lap.took());
         assert!(matches!(error, BackendError::Timeout { limit_ms: DEADLINE_MS }), "{trial}: {error}");
     }
     figure(14, "longest wait for a device that is late, ms", worst.as_millis(), "<= 80", count);

@@ -2,7 +2,7 @@
 //! whether it stopped in time, stood as long as it had to, went on when it might, and never moved when it must not.
 //!
 //! Goes in: a robot, a world, [`SoakOptions`]. Comes out: a [`Summary`]. What decides is the daemon's pipeline and the controller's gate
-//! ([`super::drive`]); the GPU is a drill on the CPU, so that it can fail too. The simulated time is the only clock: equal options
+//! ([`mod@super::drive`]); the GPU is a drill on the CPU, so that it can fail too. The simulated time is the only clock: equal options
 //! give equal runs, bit by bit.
 
 mod footprint;
@@ -142,7 +142,7 @@ impl<'a> Run<'a> {
         let imager = drilled(rig, &gpu, &clock)?;
         let acoustics = SimParams { repeat_waypoints: true, ..SimParams::default() };
         let channels: Vec<usize> = rig.setup().sensors.iter().map(|sensor| sensor.array.channel_count()).collect();
-        let every_ns = options.fault_every_s.is_finite().then(|| (options.fault_every_s * 1e9) as u64);
+        let every_ns = options.fault_every_s.is_finite().then_some((options.fault_every_s * 1e9) as u64);
         Ok(Self {
             drive: Drive::new(rig, world, acoustics, options.seed, imager)?,
             faults: Faults::new(&channels, options.seed),

@@ -2,7 +2,7 @@
 //! with a clock of their own, faster than real time and bit-reproducible.
 //!
 //! Goes in: a robot ([`TrialRig`]), a world, and what is to go wrong ([`TrialOptions`]). Comes out: [`Trial`], the score and
-//! the track of the drive. What happens in which order is [`super::drive`]'s. Reads no clock.
+//! the track of the drive. What happens in which order is [`mod@super::drive`]'s. Reads no clock.
 
 use super::ServiceError;
 use super::drive::Drive;

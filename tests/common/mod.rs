@@ -3,6 +3,7 @@
 
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod lap;
 pub mod oracle;
 pub mod scenes;
 #[cfg(feature = "gpu")]
