@@ -302,7 +302,8 @@ fn a_kill_after_any_file_system_call_heals_at_the_next_start_or_ends_with_75_in_
                 }
             }
             let what = format!("{} killed, found {:?}, seed {seed}", case.victim, case.found).to_lowercase();
-            let found = format!("{healed} healed, {refused} ended with 75, {} failed, worst {worst_ms} ms", failed.len());
+            let found =
+                format!("{healed} healed, {refused} ended with 75, {} failed, worst {worst_ms} ms", failed.len());
             checks::figure(10, &what, found, "100 % READY or 75 within 5 s", points.len());
             assert_eq!(failed, Vec::<String>::new(), "{case:?}");
             assert!(healed * 10 >= points.len() * 8, "{case:?}: nearly all heal without a supervisor");
@@ -335,8 +336,10 @@ fn without_our_ladder_the_transport_fails_or_hangs_on_some_of_the_same_points() 
         let suspicious = |call: &&usize| checks::is_full() || calls[**call - 1].starts_with("shm_open");
         let numbers: Vec<usize> = (1..=calls.len()).collect();
         let points: Vec<usize> = numbers.iter().filter(suspicious).copied().collect();
-        let failed: Vec<String> =
-            points.iter().filter_map(|&at| case.trial(&shim, at).err().map(|why| format!("{}: {why}", calls[at - 1]))).collect();
+        let failed: Vec<String> = points
+            .iter()
+            .filter_map(|&at| case.trial(&shim, at).err().map(|why| format!("{}: {why}", calls[at - 1])))
+            .collect();
         let found = format!("{} of {} points fail, of them {} hang", failed.len(), points.len(), hanging(&failed));
         checks::figure(10, "negative control: the transport alone", found, "some fail", points.len());
         assert!(hanging(&failed) >= 1, "{failed:?}");
@@ -369,26 +372,30 @@ fn a_start_alone_takes_even_a_world_of_garbage() {
 /// Where a living process uses what is spoilt, no start can heal it: that is what the supervisor's wipe is for.
 #[test]
 fn a_service_spoilt_under_a_living_controller_ends_with_75_in_time_and_works_after_the_wipe() {
-    isolated("a_service_spoilt_under_a_living_controller_ends_with_75_in_time_and_works_after_the_wipe", "256m", || {
-        let case = CASES[1];
-        let mut worst_ms = 0;
-        let contents = [&b""[..], &[0xa5; 16], &[0xa5; 4096]];
-        for content in contents {
-            let place = Place::new();
-            let peer = case.start_peer(&place);
-            let services = place.left_behind().into_iter().filter(|path| path.ends_with(".service"));
-            services.for_each(|path| fs::write(path, content).expect("spoilt"));
-            let told = case.start_next(&place).expect("ends in time");
-            assert!(told.starts_with("75"), "{} bytes: {told}", content.len());
-            worst_ms = worst_ms.max(told.split(' ').nth(1).and_then(|ms| ms.parse().ok()).unwrap_or(u32::MAX));
-            drop(peer);
-            wipe(&place.params).expect("wiped");
-            let _peer = case.start_peer(&place);
-            let told = case.start_next(&place).expect("ends in time");
-            assert!(told.starts_with("healed"), "after the wipe: {told}");
-        }
-        let what = "service spoilt under a living controller, then the supervisor's wipe";
-        checks::figure(10, what, format!("75 after {worst_ms} ms, then works"), "75 within 5 s", contents.len());
-        assert!(u128::from(worst_ms) <= LIMIT.as_millis());
-    });
+    isolated(
+        "a_service_spoilt_under_a_living_controller_ends_with_75_in_time_and_works_after_the_wipe",
+        "256m",
+        || {
+            let case = CASES[1];
+            let mut worst_ms = 0;
+            let contents = [&b""[..], &[0xa5; 16], &[0xa5; 4096]];
+            for content in contents {
+                let place = Place::new();
+                let peer = case.start_peer(&place);
+                let services = place.left_behind().into_iter().filter(|path| path.ends_with(".service"));
+                services.for_each(|path| fs::write(path, content).expect("spoilt"));
+                let told = case.start_next(&place).expect("ends in time");
+                assert!(told.starts_with("75"), "{} bytes: {told}", content.len());
+                worst_ms = worst_ms.max(told.split(' ').nth(1).and_then(|ms| ms.parse().ok()).unwrap_or(u32::MAX));
+                drop(peer);
+                wipe(&place.params).expect("wiped");
+                let _peer = case.start_peer(&place);
+                let told = case.start_next(&place).expect("ends in time");
+                assert!(told.starts_with("healed"), "after the wipe: {told}");
+            }
+            let what = "service spoilt under a living controller, then the supervisor's wipe";
+            checks::figure(10, what, format!("75 after {worst_ms} ms, then works"), "75 within 5 s", contents.len());
+            assert!(u128::from(worst_ms) <= LIMIT.as_millis());
+        },
+    );
 }

@@ -66,7 +66,8 @@ impl Room {
 
     fn simulate(&self, arguments: &[&str]) -> Output {
         let mut command = Command::new(env!("CARGO_BIN_EXE_noctule"));
-        let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/worlds/wall.toml")).expect("there");
+        let text =
+            fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/worlds/wall.toml")).expect("there");
         let short = text.replace("time_limit_s = 40.0", "time_limit_s = 1.0");
         assert_ne!(text, short, "the world has another time limit");
         let world = self.folder.join("short.toml");
@@ -140,7 +141,9 @@ fn a_full_or_read_only_disk_ends_simulate_with_74_or_73_and_no_file_by_halves() 
         let mut filler = fs::File::create(room.disk.join("filler")).expect("made");
         while filler.write_all(&[0; 4096]).is_ok() {}
         let mut trials = 0;
-        for arguments in [["--json", "bad.json"], ["--trajectories", "ways"], ["--plot", "map.png"], ["--paths", "ways.png"]] {
+        for arguments in
+            [["--json", "bad.json"], ["--trajectories", "ways"], ["--plot", "map.png"], ["--paths", "ways.png"]]
+        {
             let output = room.simulate(&arguments);
             let text = String::from_utf8_lossy(&output.stderr).into_owned();
             assert_eq!(output.status.code(), Some(IO), "{arguments:?}: {text}");

@@ -83,7 +83,10 @@ fn too_little_shared_memory_is_refused_with_73_naming_needed_and_free_bytes_with
                 assert_eq!(output.status.code(), Some(73), "{complaints:?}");
                 assert_eq!(complaints.len(), 1, "{complaints:?}");
                 let numbers: Vec<u64> = complaints[0].split(' ').filter_map(|word| word.parse().ok()).collect();
-                assert!(complaints[0].contains("/dev/shm") && numbers.len() == 2 && numbers[0] < numbers[1], "{complaints:?}");
+                assert!(
+                    complaints[0].contains("/dev/shm") && numbers.len() == 2 && numbers[0] < numbers[1],
+                    "{complaints:?}"
+                );
                 assert_eq!(place.left_behind(), Vec::<String>::new());
                 worst_ms = worst_ms.max(took.as_millis());
                 trials += 1;
@@ -101,7 +104,10 @@ fn too_few_descriptors_are_refused_with_73_and_raised_where_the_system_allows_mo
     for program in programs(&place) {
         let limited = |limits: &str| {
             let mut shell = Command::new("sh");
-            shell.args(["-c", &format!("{limits} && exec \"$0\" \"$@\"")]).arg(program.get_program()).args(program.get_args());
+            shell
+                .args(["-c", &format!("{limits} && exec \"$0\" \"$@\"")])
+                .arg(program.get_program())
+                .args(program.get_args());
             shell
         };
         let (output, took) = run(&mut limited("ulimit -n 32"));
@@ -143,7 +149,9 @@ fn publishing_daemon() {
         let now = SystemClock.now();
         let command = VelocityCommand::standstill(now, DaemonState::Ready, Reason::NotArmed);
         daemon.publish_command(command, now).expect("published");
-        daemon.publish_energyscape(0, &EnergyscapeHeader { sequence, ..EnergyscapeHeader::blank() }, &values).expect("published");
+        daemon
+            .publish_energyscape(0, &EnergyscapeHeader { sequence, ..EnergyscapeHeader::blank() }, &values)
+            .expect("published");
         daemon.publish_cues(Cues::blank()).expect("published");
         daemon.publish_health(Health::blank()).expect("published");
         controller.publish_platform(PlatformVelocity::blank()).expect("published");
@@ -156,7 +164,8 @@ fn publishing_daemon() {
 fn publishing_library() {
     let Some((root, params)) = place_of_a_child() else { return };
     let node = foreign_node(&root, &params.prefix);
-    let service = node.service_builder(&"bare".try_into().expect("name")).publish_subscribe::<Large>().create().expect("made");
+    let service =
+        node.service_builder(&"bare".try_into().expect("name")).publish_subscribe::<Large>().create().expect("made");
     let publisher = service.publisher_builder().create().expect("publisher");
     let subscriber = service.subscriber_builder().create().expect("subscriber");
     fs::write(root.with_extension("ready"), "").expect("told");

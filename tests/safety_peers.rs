@@ -10,7 +10,7 @@ use iceoryx2::prelude::{AttributeSpecifier, ZeroCopySend, ipc};
 use ipc_rig::{Base, Controller, FakeDaemon, Place, foreign_node, is, moves};
 use noctule::io::wire::WireType;
 use noctule::io::wire::message::{Request, VelocityCommand};
-use noctule::signal::{GateState, Reason};
+use noctule::signal::GateState;
 use std::fmt::Debug;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -111,7 +111,10 @@ fn a_service_of_another_build_is_refused_by_daemon_and_controller_in_one_line_ea
     let mut check = |place: &Place, what: &str, found: &str| {
         for program in &mut programs(place) {
             let (line, took) = refused(program, what);
-            assert!(line.contains(&format!("{:016x}", VelocityCommand::SCHEMA_HASH)), "{what}: what is expected: {line}");
+            assert!(
+                line.contains(&format!("{:016x}", VelocityCommand::SCHEMA_HASH)),
+                "{what}: what is expected: {line}"
+            );
             assert!(line.contains(found), "{what}: what is found, {found}: {line}");
             assert!(line.contains(&std::process::id().to_string()), "{what}: by whom: {line}");
             worst = worst.max(took);
@@ -134,7 +137,13 @@ fn a_service_of_another_build_is_refused_by_daemon_and_controller_in_one_line_ea
         let _held = hold::<NextVersion>(&place, SOUND);
         check(&place, "next version", "VelocityCommand.v2");
     }
-    checks::figure(31, "starts beside another build", format!("all 69, worst {} ms", worst.as_millis()), "<= 2 s", trials);
+    checks::figure(
+        31,
+        "starts beside another build",
+        format!("all 69, worst {} ms", worst.as_millis()),
+        "<= 2 s",
+        trials,
+    );
     assert!(worst <= LIMIT, "{worst:?}");
 }
 
@@ -155,20 +164,18 @@ fn a_peer_of_another_build_that_slips_in_moves_nothing() {
         .expect("the transport alone takes it");
     let publisher = service.publisher_builder().create().expect("publisher");
     base.ask(Request::Arm, 7);
-    let mut latched = false;
     for sequence in 1..=50_u64 {
         let mut words = [0.3_f64.to_bits(); size_of::<VelocityCommand>() / 8];
         // As the other build lays it out: its own schema hash, the armed epoch, a number that grows.
         words[..4].copy_from_slice(&[VelocityCommand::SCHEMA_HASH ^ 1, 7, 77, sequence]);
         publisher.send_copy(Swapped { words }).expect("sent");
         base.listen_for(Duration::from_millis(20), || ());
-        let newest = *base.heard.last().expect("heard");
-        latched |= is(&newest, GateState::Latched) && newest.reason == Reason::BadSchema.number();
     }
     let moved = base.heard.iter().filter(|sample| moves(sample)).count();
     checks::figure(31, "outputs that moved for swapped fields", moved, "0", base.heard.len());
-    assert!(latched, "{:?}", base.heard.last());
-    assert_eq!(moved, 0);
+    let newest = base.heard.last().expect("heard");
+    assert_eq!((moved, newest.accepted_count), (0, 0));
+    assert!(newest.refused_count >= 40, "it did hear them: {newest:?}");
 }
 
 #[test]
@@ -218,8 +225,15 @@ fn a_hostile_publisher_moves_nothing_before_and_after_the_daemons_start() {
         base.listen_for(Duration::from_millis(10), || ());
     }
     let moved = base.heard.iter().filter(|sample| moves(sample)).count();
-    checks::figure(19, "second commanders refused by the transport", format!("{refusals} of {trials}"), "100 %", trials);
+    checks::figure(
+        19,
+        "second commanders refused by the transport",
+        format!("{refusals} of {trials}"),
+        "100 %",
+        trials,
+    );
     checks::figure(19, "outputs that moved", moved, "0", base.heard.len());
     assert_eq!((refusals, moved), (trials, 0));
-    assert!(is(base.heard.last().expect("heard"), GateState::Latched), "another epoch latches");
+    let newest = base.heard.last().expect("heard");
+    assert!(newest.refused_count >= 10 && is(newest, GateState::Wait), "another epoch than the armed one: {newest:?}");
 }

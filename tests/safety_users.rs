@@ -52,7 +52,8 @@ fn assert_refused(config: &Path, uid: Option<u32>, path: &Path) {
         let Output { status, stderr, .. } = program.output().expect("started");
         let text = String::from_utf8_lossy(&stderr).into_owned();
         assert_eq!(status.code(), Some(77), "{program:?}: {text}");
-        let complaints: Vec<&str> = text.lines().filter(|line| !line.contains("INFO") && !line.contains("WARN")).collect();
+        let complaints: Vec<&str> =
+            text.lines().filter(|line| !line.contains("INFO") && !line.contains("WARN")).collect();
         assert!(complaints.len() == 1 && complaints[0].contains(&*path.to_string_lossy()), "{complaints:?}");
     }
 }

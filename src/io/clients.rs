@@ -6,7 +6,7 @@
 use super::error::IpcError;
 use super::fresh_id;
 use super::node::{Ipc, Needs, Registration};
-use super::session::{FixedPublisher, FixedSubscriber};
+use super::ports::{FixedPublisher, FixedSubscriber};
 use super::topics::{self, Topic};
 use super::wire::message::{Odometry, OperatorRequest, Request, VelocityCommand, VelocityInput};
 use super::wire::telemetry::PlatformVelocity;
@@ -39,13 +39,13 @@ impl ControllerTopics {
         let needs = needs.subscriber(&Topic::command()).subscriber(&Topic::operator());
         let (registration, (platform, command, operator, requests)) =
             ipc.set_up("noctule-controller", needs, |session| {
-            Ok((
-                session.publisher(&Topic::platform())?,
-                session.subscriber(&Topic::command())?,
-                session.subscriber(&Topic::operator())?,
-                session.publisher(&Topic::operator())?,
-            ))
-        })?;
+                Ok((
+                    session.publisher(&Topic::platform())?,
+                    session.subscriber(&Topic::command())?,
+                    session.subscriber(&Topic::operator())?,
+                    session.publisher(&Topic::operator())?,
+                ))
+            })?;
         Ok(Self { command, operator, requests, platform, registration })
     }
 
@@ -219,7 +219,10 @@ impl PlatformSubscriber {
     /// # Errors
     /// [`IpcError`].
     pub fn open(ipc: &Ipc) -> Result<Self, IpcError> {
-        let (registration, port) = ipc.set_up("noctule-platform", Needs::new().subscriber(&Topic::platform()), |session| session.subscriber(&Topic::platform()))?;
+        let (registration, port) =
+            ipc.set_up("noctule-platform", Needs::new().subscriber(&Topic::platform()), |session| {
+                session.subscriber(&Topic::platform())
+            })?;
         Ok(Self { port, _registration: registration })
     }
 

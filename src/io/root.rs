@@ -42,7 +42,10 @@ pub(super) fn prepare(root: &Path) -> Result<(), IpcError> {
     if let Some(parent) = root.parent() {
         let mode = std::fs::metadata(parent).map_err(cannot)?.permissions().mode();
         if mode & 0o002 != 0 && mode & 0o1000 == 0 {
-            return Err(refuse(format!("a parent directory with mode {:04o}, where others can replace it", mode & 0o7777)));
+            return Err(refuse(format!(
+                "a parent directory with mode {:04o}, where others can replace it",
+                mode & 0o7777
+            )));
         }
     }
     let metadata = std::fs::symlink_metadata(root).map_err(cannot)?;
@@ -114,7 +117,9 @@ fn claim_name(root: &Path, prefix: &str) -> Result<Option<UnixListener>, u32> {
         Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
             let holder = UnixStream::connect_addr(&address).and_then(|stream| Ok(socket_peercred(&stream)?));
             match holder {
-                Ok(holder) if holder.uid == ours || holder.uid.is_root() => Err(holder.pid.as_raw_pid().cast_unsigned()),
+                Ok(holder) if holder.uid == ours || holder.uid.is_root() => {
+                    Err(holder.pid.as_raw_pid().cast_unsigned())
+                }
                 _ => Ok(None),
             }
         }

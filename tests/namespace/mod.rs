@@ -44,7 +44,8 @@ pub fn isolated(test: &str, shared_memory: &str, body: impl FnOnce()) {
         return;
     };
     let directory = tempfile::tempdir().expect("directory");
-    let script = r#"mount -t tmpfs -o "size=$0" tmpfs /dev/shm && mount -t tmpfs -o size=64m tmpfs "$TMPDIR" && exec "$@""#;
+    let script =
+        r#"mount -t tmpfs -o "size=$0" tmpfs /dev/shm && mount -t tmpfs -o size=64m tmpfs "$TMPDIR" && exec "$@""#;
     let status = Command::new("unshare")
         .args(way)
         .args(["sh", "-c", script, shared_memory])
