@@ -74,7 +74,7 @@ pub(super) fn refuse_foreign(prefix: &str) -> Result<(), IpcError> {
 
 /// Removes shared-memory files that a process began and, killed, will never finish: without a size, or not yet readable.
 ///
-/// The transport waits for such a file for ever, at set-up as well as in the midst of receiving; without the file it goes on.
+/// The transport waits for such a file for ever, when it begins, ends or cleans up after the dead; without the file it goes on.
 /// They are given `patience` to become whole.
 pub(super) fn sweep_half_made(prefix: &str, patience: Duration) {
     let half_made = || {

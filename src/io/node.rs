@@ -50,7 +50,15 @@ pub struct Ipc {
 #[derive(Debug)]
 pub(super) struct Registration {
     probe: Probe,
+    prefix: String,
     _node: Node<Transport>,
+}
+
+impl Drop for Registration {
+    /// A node that ends cleans up after the dead, and would wait for ever for what they left half made.
+    fn drop(&mut self) {
+        files::sweep_half_made(&self.prefix, MAKING_LIMIT);
+    }
 }
 
 impl Registration {
@@ -222,7 +230,8 @@ impl Ipc {
         watch::start(node_name, self.prefix.clone(), session.into_calls());
         files::reserve(&self.prefix)?;
         files::close_to_others(&self.root, &self.prefix);
-        Ok((Registration { probe: Probe::since(&before, &self.root, &self.prefix), _node: node }, made))
+        let probe = Probe::since(&before, &self.root, &self.prefix);
+        Ok((Registration { probe, prefix: self.prefix.clone(), _node: node }, made))
     }
 
     /// Begins with nothing where nobody lives: whatever the dead left, and in what state, can then do no harm.

@@ -1,8 +1,9 @@
-//! Frees a process that hangs inside the transport: sending and receiving open the connections of new peers, and wait for ever
-//! for one whose maker was killed in between.
+//! Frees a process that hangs inside the transport: whatever opens a shared-memory file waits for ever for one whose maker was
+//! killed before the file had a size, and sending and receiving open the connections of new peers.
 //!
 //! In: the ports of a set-up. Out: a thread that looks whether one of them is inside the same call for too long, and then removes
-//! what is half made. While all is well it looks at some numbers 40 times a second, and neither allocates nor touches a file.
+//! what is half made. While all is well it looks at some numbers 40 times a second, and neither allocates nor touches a file. No
+//! point of a peer's start is known at which a port hangs; set-up and end, which do, sweep by themselves.
 
 use super::files;
 use std::sync::Arc;
