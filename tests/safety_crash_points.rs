@@ -15,7 +15,7 @@ use noctule::io::{ControllerTopics, DaemonTopics, Ipc, IpcError, IpcParams, wipe
 use noctule::signal::{DaemonState, Reason};
 use noctule::time::{Clock, SystemClock};
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Child;
 use std::time::{Duration, Instant};
 
@@ -76,7 +76,7 @@ fn controller_life() {
 }
 
 /// Says how a start went: it must work, or refuse with 75, naming root and prefix.
-fn tell(root: &PathBuf, begun: Instant, started: Result<(), IpcError>) {
+fn tell(root: &Path, begun: Instant, started: Result<(), IpcError>) {
     let took_ms = begun.elapsed().as_millis();
     let told = match started {
         Ok(()) => format!("healed {took_ms}"),

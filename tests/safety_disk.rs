@@ -57,10 +57,10 @@ impl Room {
         path
     }
 
-    fn process(&self, inputs: &[&Path], more: &[&str]) -> Output {
+    fn process(&self, input: &Path, out: &str) -> Output {
         let mut command = Command::new(env!("CARGO_BIN_EXE_noctule"));
-        command.arg("process").args(inputs).arg("--config").arg(self.folder.join("robot.toml"));
-        command.args(["--backend", "cpu", "--quiet", "--out"]).arg(self.disk.join("out")).args(more);
+        command.arg("process").arg(input).arg("--config").arg(self.folder.join("robot.toml"));
+        command.args(["--backend", "cpu", "--quiet", "--out"]).arg(self.disk.join(out));
         command.output().expect("runs")
     }
 
@@ -110,10 +110,10 @@ fn a_full_disk_ends_process_with_74_and_what_was_finished_stays() {
         // One short recording fits, a longer one does not.
         let room = Room::new(1_024);
         let (first, second) = (room.recording("first.npy", 1), room.recording("second.npy", 40));
-        assert!(room.process(&[&first], &[]).status.success());
+        assert!(room.process(&first, "first").status.success());
         let before = room.content();
         assert!(before.len() >= 4, "{before:?}");
-        let full = room.process(&[&second], &[]);
+        let full = room.process(&second, "second");
         assert_told(&full, IO, "process on a full disk");
         let after = room.content();
         for file in &before {
@@ -125,7 +125,7 @@ fn a_full_disk_ends_process_with_74_and_what_was_finished_stays() {
 
         room.read_only();
         let third = room.recording("third.npy", 1);
-        let refused = room.process(&[&third], &[]);
+        let refused = room.process(&third, "third");
         assert_told(&refused, CANNOT_CREATE, "process on a read-only disk");
         assert_eq!(room.content(), after);
         checks::figure(37, "process on a read-only disk", "73, nothing changed", "73, nothing else lost", 1);
@@ -140,6 +140,7 @@ fn a_full_or_read_only_disk_ends_simulate_with_74_or_73_and_no_file_by_halves() 
         let good = room.content();
         let mut filler = fs::File::create(room.disk.join("filler")).expect("made");
         while filler.write_all(&[0; 4096]).is_ok() {}
+        drop(filler);
         let mut trials = 0;
         for arguments in
             [["--json", "bad.json"], ["--trajectories", "ways"], ["--plot", "map.png"], ["--paths", "ways.png"]]

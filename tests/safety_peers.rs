@@ -10,9 +10,10 @@ use iceoryx2::prelude::{AttributeSpecifier, ZeroCopySend, ipc};
 use ipc_rig::{Base, Controller, FakeDaemon, Place, foreign_node, is, moves};
 use noctule::io::wire::WireType;
 use noctule::io::wire::message::{Request, VelocityCommand};
-use noctule::signal::{GateState, Reason};
+use noctule::signal::GateState;
 use std::fmt::Debug;
 use std::process::Command;
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 const LIMIT: Duration = Duration::from_secs(2);
@@ -91,6 +92,9 @@ fn programs(place: &Place) -> [Command; 2] {
 
 /// Starts a program that must refuse with 69 and one line; the line and how long it took.
 fn refused(program: &mut Command, what: &str) -> (String, Duration) {
+    // One at a time: what is measured is a start, not a race of starts.
+    static ALONE: Mutex<()> = Mutex::new(());
+    let _alone = ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let begun = Instant::now();
     let output = program.output().expect("started");
     let took = begun.elapsed();
@@ -164,20 +168,19 @@ fn a_peer_of_another_build_that_slips_in_moves_nothing() {
         .expect("the transport alone takes it");
     let publisher = service.publisher_builder().create().expect("publisher");
     base.ask(Request::Arm, 7);
-    let mut latched = false;
     for sequence in 1..=50_u64 {
         let mut words = [0.3_f64.to_bits(); size_of::<VelocityCommand>() / 8];
         // As the other build lays it out: its own schema hash, the armed epoch, a number that grows.
         words[..4].copy_from_slice(&[VelocityCommand::SCHEMA_HASH ^ 1, 7, 77, sequence]);
         publisher.send_copy(Swapped { words }).expect("sent");
         base.listen_for(Duration::from_millis(20), || ());
-        let newest = *base.heard.last().expect("heard");
-        latched |= is(&newest, GateState::Latched) && newest.reason == Reason::BadSchema.number();
     }
     let moved = base.heard.iter().filter(|sample| moves(sample)).count();
     checks::figure(31, "outputs that moved for swapped fields", moved, "0", base.heard.len());
-    assert!(latched, "{:?}", base.heard.last());
-    assert_eq!(moved, 0);
+    let newest = base.heard.last().expect("heard");
+    assert_eq!((moved, newest.accepted_count), (0, 0));
+    // One is kept for a controller that is slow to look: on a busy machine it hears fewer than were sent.
+    assert!(newest.refused_count >= 10, "it did hear them: {newest:?}");
 }
 
 #[test]
@@ -236,5 +239,6 @@ fn a_hostile_publisher_moves_nothing_before_and_after_the_daemons_start() {
     );
     checks::figure(19, "outputs that moved", moved, "0", base.heard.len());
     assert_eq!((refusals, moved), (trials, 0));
-    assert!(is(base.heard.last().expect("heard"), GateState::Latched), "another epoch latches");
+    let newest = base.heard.last().expect("heard");
+    assert!(newest.refused_count >= 10 && is(newest, GateState::Wait), "another epoch than the armed one: {newest:?}");
 }

@@ -6,7 +6,7 @@
 use super::error::IpcError;
 use super::fresh_id;
 use super::node::{Ipc, Needs, Registration};
-use super::session::{FixedPublisher, FixedSubscriber};
+use super::ports::{FixedPublisher, FixedSubscriber};
 use super::topics::{self, Topic};
 use super::wire::message::{Odometry, OperatorRequest, Request, VelocityCommand, VelocityInput};
 use super::wire::telemetry::PlatformVelocity;

@@ -5,8 +5,8 @@
 
 use super::error::IpcError;
 use super::node::{Ipc, Needs, Registration};
+use super::ports::{FixedPublisher, FixedSubscriber, SlicePublisher};
 use super::root::DaemonLock;
-use super::session::{FixedPublisher, FixedSubscriber, SlicePublisher};
 use super::topics::Topic;
 use super::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, VelocityCommand, VelocityInput};
 use super::wire::telemetry::{Cues, Health, PlatformVelocity};

@@ -5,7 +5,8 @@
 
 use super::error::IpcError;
 use super::node::{Ipc, Needs, Registration};
-use super::session::{FixedSubscriber, Session, SliceSubscriber};
+use super::ports::{FixedSubscriber, SliceSubscriber};
+use super::session::Session;
 use super::topics::{self, Topic};
 use super::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput};
 use super::wire::telemetry::{Cues, Health, PlatformVelocity};

@@ -17,8 +17,6 @@ pub(super) const SHARED_MEMORY: &str = "/dev/shm";
 const FOLDERS: [&str; 2] = ["nodes", "services"];
 /// Digits of the hash in the name of every file in shared memory.
 const HASH_LEN: usize = 40;
-/// A shared-memory file is made within microseconds. One that is half made for this long will never be whole.
-const MAKING_LIMIT: Duration = Duration::from_millis(100);
 /// Longest wait for another process's set-up before a wipe.
 const LOCK_LIMIT: Duration = Duration::from_millis(1_500);
 const OTHERS: u32 = 0o077;
@@ -76,8 +74,9 @@ pub(super) fn refuse_foreign(prefix: &str) -> Result<(), IpcError> {
 
 /// Removes shared-memory files that a process began and, killed, will never finish: without a size, or not yet readable.
 ///
-/// The transport waits for such a file for ever, at set-up as well as in the midst of receiving; without the file it goes on.
-pub(super) fn sweep_half_made(prefix: &str) {
+/// The transport waits for such a file for ever, when it begins, ends or cleans up after the dead; without the file it goes on.
+/// They are given `patience` to become whole.
+pub(super) fn sweep_half_made(prefix: &str, patience: Duration) {
     let half_made = || {
         shared(prefix)
             .filter(|(_, metadata)| metadata.len() == 0 || metadata.mode() & OWNER_READ == 0)
@@ -87,7 +86,7 @@ pub(super) fn sweep_half_made(prefix: &str) {
     if seen.is_empty() {
         return;
     }
-    std::thread::sleep(MAKING_LIMIT);
+    std::thread::sleep(patience);
     for (path, _) in half_made().filter(|file| seen.contains(file)) {
         log::warn!("{} was left half made and is removed", path.display());
         let _ = std::fs::remove_file(path);

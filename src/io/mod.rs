@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`topics`] | names, layouts and depths of all topics |
 //! | [`wire`] | the types on them |
-//! | [`node`], `session` | set-up, ports |
+//! | [`node`], `session`, `ports`, `watch` | set-up, ports, a way out of a hang |
 //! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
@@ -23,6 +23,7 @@ pub mod picture;
 pub mod plot;
 pub mod plot_layouts;
 mod polar;
+mod ports;
 mod probe;
 pub mod raw_topics;
 pub mod recording_file;
@@ -31,6 +32,7 @@ mod session;
 pub mod source;
 pub mod status_topics;
 pub mod topics;
+mod watch;
 pub mod wire;
 
 pub use canvas::encode_png;

@@ -11,6 +11,7 @@ use super::probe::{OpenFiles, Probe};
 use super::root::{DaemonLock, SetupLock, prepare};
 use super::session::{Session, living_others};
 use super::topics::Topic;
+use super::watch;
 use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::prelude::{
     BackpressureStrategy, Config, LogLevel, Node, NodeBuilder, NodeName, SemanticString, SignalHandlingMode,
@@ -28,6 +29,8 @@ pub(super) type Transport = ipc_threadsafe::Service;
 const SETUP_LIMIT: Duration = Duration::from_secs(3);
 /// Longest wait for another process's set-up.
 const LOCK_LIMIT: Duration = Duration::from_millis(1_500);
+/// A shared-memory file is made within microseconds. One that is half made for this long will never be whole.
+const MAKING_LIMIT: Duration = Duration::from_millis(100);
 /// Descriptors of the transport's registration of a process, and of what a program opens besides: log, GPU, pipes.
 const DESCRIPTORS_SPARE: u64 = 24;
 /// Descriptors that are asked for where fewer are allowed but more are to be had.
@@ -47,7 +50,15 @@ pub struct Ipc {
 #[derive(Debug)]
 pub(super) struct Registration {
     probe: Probe,
+    prefix: String,
     _node: Node<Transport>,
+}
+
+impl Drop for Registration {
+    /// A node that ends cleans up after the dead, and would wait for ever for what they left half made.
+    fn drop(&mut self) {
+        files::sweep_half_made(&self.prefix, MAKING_LIMIT);
+    }
 }
 
 impl Registration {
@@ -198,7 +209,7 @@ impl Ipc {
             return Err(self.stuck("another process has been setting up for too long".to_owned()));
         }
         files::refuse_foreign(&self.prefix)?;
-        files::sweep_half_made(&self.prefix);
+        files::sweep_half_made(&self.prefix, MAKING_LIMIT);
         self.clear_if_alone()?;
         let before = OpenFiles::now();
         let name = NodeName::new(node_name).map_err(|error| IpcError::Internal(format!("{error:?}")))?;
@@ -215,10 +226,13 @@ impl Ipc {
                 },
                 error => self.stuck(format!("this process could not be registered ({error:?})")),
             })?;
-        let made = make(&Session::new(self, &self.config, &node))?;
+        let session = Session::new(self, &self.config, &node);
+        let made = make(&session)?;
+        watch::start(node_name, self.prefix.clone(), session.into_calls());
         files::reserve(&self.prefix)?;
         files::close_to_others(&self.root, &self.prefix);
-        Ok((Registration { probe: Probe::since(&before, &self.root, &self.prefix), _node: node }, made))
+        let probe = Probe::since(&before, &self.root, &self.prefix);
+        Ok((Registration { probe, prefix: self.prefix.clone(), _node: node }, made))
     }
 
     /// Begins with nothing where nobody lives: whatever the dead left, and in what state, can then do no harm.

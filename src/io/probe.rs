@@ -44,18 +44,23 @@ impl Probe {
     /// the payloads that we write. Those of others come and go with them.
     pub(super) fn since(before: &OpenFiles, root: &Path, prefix: &str) -> Self {
         let after = OpenFiles::now();
+        // So the system marks a file that was deleted already.
+        let named = |path: &PathBuf| PathBuf::from(path.to_string_lossy().trim_end_matches(" (deleted)"));
         let stays = |path: &Path, writable: bool| {
             let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return false };
             let shared = path.parent() == Some(Path::new(SHARED_MEMORY)) && is_of_prefix(name, prefix);
             path.starts_with(root) && name.starts_with(prefix)
                 || shared && (name.ends_with(".dynamic") || writable && name.ends_with(".data"))
         };
-        let look = |path: &PathBuf| {
-            let metadata = std::fs::symlink_metadata(path).ok()?;
-            Some((path.clone(), metadata.dev(), metadata.ino()))
+        let look = |descriptor: &PathBuf, path: PathBuf| {
+            // Through the descriptor: what we opened, whatever bears its name by now.
+            let metadata = std::fs::metadata(descriptor).ok()?;
+            Some((path, metadata.dev(), metadata.ino()))
         };
-        let opened = after.0.difference(&before.0).filter(|(_, path, writable)| stays(path, *writable));
-        let mut files: Vec<_> = opened.filter_map(|(_, path, _)| look(path)).collect();
+        let opened =
+            after.0.difference(&before.0).map(|(descriptor, path, writable)| (descriptor, named(path), *writable));
+        let lasting = opened.filter(|(_, path, writable)| stays(path, *writable));
+        let mut files: Vec<_> = lasting.filter_map(|(descriptor, path, _)| look(descriptor, path)).collect();
         files.sort();
         files.dedup();
         Self { files }

@@ -5,7 +5,8 @@
 
 use super::error::IpcError;
 use super::node::{Ipc, Needs, Registration};
-use super::session::{Session, SlicePublisher, SliceSubscriber};
+use super::ports::{SlicePublisher, SliceSubscriber};
+use super::session::Session;
 use super::topics::Topic;
 use super::wire::message::{RawHeader, format_number};
 use super::wire::{HEADER_VERSION, WireType};

@@ -1,4 +1,4 @@
-//! Opening of typed ports during set-up, with a ladder against what dead processes left, and the ports themselves.
+//! Opening of typed ports during set-up, with a ladder against what dead processes left.
 //!
 //! In: [`Topic`]s. Out: publishers that never wait and subscribers that never allocate, or an [`IpcError`]. Every service
 //! carries the schema hash of its type as an attribute; a peer with another layout is refused here.
@@ -6,11 +6,12 @@
 use super::error::IpcError;
 use super::files;
 use super::node::{Ipc, Transport};
+use super::ports::{FixedPublisher, FixedSubscriber, SlicePublisher, SliceSubscriber};
 use super::topics::{NODES_MAX, SCHEMA_ATTRIBUTE, Topic};
+use super::watch::Calls;
 use super::wire::{WireType, force_remove_service};
-use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
-use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
-use iceoryx2::port::update_connections::UpdateConnections as _;
+use iceoryx2::port::publisher::PublisherCreateError;
+use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::{
     AllocationStrategy, AttributeVerifier, BackpressureStrategy, CallbackProgression, Config, MessagingPattern, Node,
     NodeState, PortFactory as _, Service, ServiceName, ZeroCopySend,
@@ -20,6 +21,7 @@ use iceoryx2::service::builder::publish_subscribe::{
 };
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use iceoryx2::service::service_hash::ServiceHash;
+use std::cell::RefCell;
 use std::fmt::Debug;
 use std::time::Duration;
 
@@ -33,6 +35,7 @@ pub(super) struct Session<'a> {
     ipc: &'a Ipc,
     config: &'a Config,
     node: &'a Node<Transport>,
+    ports: RefCell<Vec<Calls>>,
 }
 
 /// Whether cleaning up can help.
@@ -60,7 +63,19 @@ macro_rules! open_service {
 
 impl<'a> Session<'a> {
     pub(super) fn new(ipc: &'a Ipc, config: &'a Config, node: &'a Node<Transport>) -> Self {
-        Self { ipc, config, node }
+        Self { ipc, config, node, ports: RefCell::default() }
+    }
+
+    /// The calls of all ports that were made, to be watched.
+    pub(super) fn into_calls(self) -> Vec<Calls> {
+        self.ports.into_inner()
+    }
+
+    /// Of one more port.
+    fn calls(&self) -> Calls {
+        let calls = Calls::default();
+        self.ports.borrow_mut().push(calls.clone());
+        calls
     }
 
     /// Publisher of a topic without header. The service is made if it does not exist.
@@ -77,7 +92,7 @@ impl<'a> Session<'a> {
                 .create()
                 .map_err(|error| publisher_failure(self.ipc, topic, &service, error))
         })?;
-        Ok(FixedPublisher { port, service: topic.name.clone() })
+        Ok(FixedPublisher::new(port, topic, self.calls()))
     }
 
     /// Subscriber of a topic without header. The service is made if it does not exist.
@@ -90,7 +105,7 @@ impl<'a> Session<'a> {
             let builder = service.subscriber_builder().buffer_size(topic.qos.buffer);
             builder.create().map_err(|error| subscriber_failure(self.ipc, topic, error))
         })?;
-        Ok(FixedSubscriber { port })
+        Ok(FixedSubscriber::new(port, self.calls()))
     }
 
     /// Publisher of a topic with header `H` and samples of up to `len` elements.
@@ -111,7 +126,7 @@ impl<'a> Session<'a> {
                 .create()
                 .map_err(|error| publisher_failure(self.ipc, topic, &service, error))
         })?;
-        Ok(SlicePublisher { port, service: topic.name.clone() })
+        Ok(SlicePublisher::new(port, topic, self.calls()))
     }
 
     /// Subscriber of a topic with header `H`.
@@ -126,7 +141,7 @@ impl<'a> Session<'a> {
             let builder = service.subscriber_builder().buffer_size(topic.qos.buffer).history_request(topic.qos.history);
             builder.create().map_err(|error| subscriber_failure(self.ipc, topic, error))
         })?;
-        Ok(SliceSubscriber { port })
+        Ok(SliceSubscriber::new(port, self.calls()))
     }
 
     /// The ladder: try; clean dead nodes, take away a service that cannot be opened and that nobody alive uses, and try; wait a
@@ -345,93 +360,5 @@ fn subscriber_failure(ipc: &Ipc, topic: &Topic, error: SubscriberCreateError) ->
             allowed: topic.qos.subscribers_max,
         }),
         error => Failure::Retry(ipc.stuck(format!("service {} takes no subscriber ({error:?})", topic.name))),
-    }
-}
-
-/// Sends samples of one type.
-#[derive(Debug)]
-pub(super) struct FixedPublisher<T: WireType + ZeroCopySend + Debug> {
-    port: Publisher<Transport, T, ()>,
-    service: String,
-}
-
-impl<T: WireType + ZeroCopySend + Debug> FixedPublisher<T> {
-    /// Sends `value` to all; never waits.
-    pub(super) fn send(&self, value: T) -> Result<(), IpcError> {
-        let sent = self.port.send_copy(value);
-        sent.map(drop).map_err(|error| IpcError::Send { service: self.service.clone(), reason: format!("{error:?}") })
-    }
-}
-
-/// Receives samples of one type.
-#[derive(Debug)]
-pub(super) struct FixedSubscriber<T: WireType + ZeroCopySend + Debug> {
-    port: Subscriber<Transport, T, ()>,
-}
-
-impl<T: WireType + ZeroCopySend + Debug> FixedSubscriber<T> {
-    /// The next sample and the transport's number of its publisher. A failing connection counts as silence: whoever
-    /// waits for a sample judges by age.
-    pub(super) fn next(&self) -> Option<(T, u128)> {
-        let sample = self.port.receive().ok()??;
-        Some((*sample.payload(), sample.header().publisher_id().value()))
-    }
-
-    /// The last of all samples that wait.
-    pub(super) fn newest(&self) -> Option<T> {
-        std::iter::from_fn(|| self.next()).last().map(|(sample, _)| sample)
-    }
-}
-
-/// Sends slices with a header.
-#[derive(Debug)]
-pub(super) struct SlicePublisher<E, H>
-where
-    E: ZeroCopySend + Debug + Copy + 'static,
-    H: WireType + ZeroCopySend + Debug,
-{
-    port: Publisher<Transport, [E], H>,
-    service: String,
-}
-
-impl<E, H> SlicePublisher<E, H>
-where
-    E: ZeroCopySend + Debug + Copy + Default + 'static,
-    H: WireType + ZeroCopySend + Debug,
-{
-    /// Writes `values` straight into shared memory and sends them; never waits.
-    pub(super) fn send(&self, header: &H, values: &[E]) -> Result<(), IpcError> {
-        let failure = |reason: String| IpcError::Send { service: self.service.clone(), reason };
-        let mut loan = self.port.loan_slice_uninit(values.len()).map_err(|error| failure(format!("{error:?}")))?;
-        *loan.user_header_mut() = *header;
-        loan.write_from_slice(values).send().map(drop).map_err(|error| failure(format!("{error:?}")))
-    }
-
-    /// Gives subscribers that came since the last sample the newest one. Sending does it, too.
-    pub(super) fn connect_latecomers(&self) -> Result<(), IpcError> {
-        let connected = self.port.update_connections();
-        connected.map_err(|error| IpcError::Send { service: self.service.clone(), reason: format!("{error:?}") })
-    }
-}
-
-/// Receives slices with a header.
-#[derive(Debug)]
-pub(super) struct SliceSubscriber<E, H>
-where
-    E: ZeroCopySend + Debug + Copy + 'static,
-    H: WireType + ZeroCopySend + Debug,
-{
-    port: Subscriber<Transport, [E], H>,
-}
-
-impl<E, H> SliceSubscriber<E, H>
-where
-    E: ZeroCopySend + Debug + Copy + 'static,
-    H: WireType + ZeroCopySend + Debug,
-{
-    /// Shows the next sample to `read`, in shared memory.
-    pub(super) fn next<R>(&self, read: impl FnOnce(&H, &[E]) -> R) -> Option<R> {
-        let sample = self.port.receive().ok()??;
-        Some(read(sample.user_header(), sample.payload()))
     }
 }

@@ -2,7 +2,7 @@
 
 use super::error::IpcError;
 use super::node::{Ipc, Needs, Registration};
-use super::session::FixedSubscriber;
+use super::ports::FixedSubscriber;
 use super::topics::Topic;
 use super::wire::WireType;
 use super::wire::message::VelocityCommand;
