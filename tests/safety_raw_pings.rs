@@ -70,11 +70,11 @@ impl Bench {
         let mut bad = self.ping(BAD, now);
         spoil(&mut bad);
         let sent: Vec<RawPing> = [0, 2].map(|index| self.ping(index, now)).into();
-        if self.sequence % 2 == 0 {
+        if self.sequence.is_multiple_of(2) {
             self.drivers[BAD].publish(&bad).expect("published");
         }
         sent.iter().for_each(|ping| self.drivers[ping.sensor_index].publish(ping).expect("published"));
-        if self.sequence % 2 == 1 {
+        if !self.sequence.is_multiple_of(2) {
             self.drivers[BAD].publish(&bad).expect("published");
         }
         let begin = Instant::now();
