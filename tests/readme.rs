@@ -1,5 +1,5 @@
 //! Contract: what the README says of layouts, errors, commands and files is what the program does. Generated parts are
-//! written by `NOCTULE_BLESS=1 cargo test --release --test readme`.
+//! written by `NOCTULE_BLESS=1 cargo test --release --test readme -- --test-threads 1`: all write the same file.
 
 use noctule::config::Config;
 use noctule::io::topics::Topic;
@@ -81,6 +81,80 @@ fn the_example_of_an_error_is_a_real_one() {
     let text = "[control.collision_avoidance]\nthreshhold = 0.02\n";
     let error = Config::parse(text, Path::new("robot.toml")).expect_err("a misspelt key");
     held("error", &format!("```text\n{error}\n```\n"));
+}
+
+/// One of the forty checks, as `docs/safety_checks.toml` describes it.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Check {
+    number: u8,
+    fault: String,
+    injected: String,
+    tests: Vec<String>,
+    controls: Vec<String>,
+}
+
+/// A line of `docs/safety_figures.jsonl`, which `.ci/full` measures.
+#[derive(serde::Deserialize)]
+struct Figure {
+    check: u8,
+    what: String,
+    found: String,
+    bar: String,
+    trials: usize,
+    full: bool,
+}
+
+fn checks() -> Vec<Check> {
+    let text = std::fs::read_to_string(root().join("docs/safety_checks.toml")).expect("docs/safety_checks.toml");
+    let mut tables: toml::Table = toml::from_str(&text).expect("TOML");
+    let checks = tables.remove("check").expect("[[check]]");
+    checks.try_into().expect("the keys of a check")
+}
+
+fn figures() -> Vec<Figure> {
+    let text = std::fs::read_to_string(root().join("docs/safety_figures.jsonl")).expect("docs/safety_figures.jsonl");
+    text.lines().map(|line| serde_json::from_str(line).expect("a figure")).collect()
+}
+
+/// Names as `file::function` in code, after it was seen that there is such a function in `tests/<file>.rs` or in a module beside it.
+fn existing(names: &[String]) -> String {
+    let shown = names.iter().map(|name| {
+        let (file, function) = name.split_once("::").unwrap_or_else(|| panic!("{name} is no file::function"));
+        let beside = [format!("tests/{file}.rs"), format!("tests/{file}/mod.rs"), format!("src/{file}.rs")];
+        let texts = beside.iter().filter_map(|path| std::fs::read_to_string(root().join(path)).ok());
+        let found = texts.into_iter().any(|text| text.contains(&format!("fn {function}(")));
+        assert!(found, "there is no function {function} in tests/{file}.rs");
+        format!("`{name}`")
+    });
+    shown.collect::<Vec<_>>().join("<br>")
+}
+
+#[test]
+fn every_one_of_the_forty_checks_has_its_row_with_figures_and_tests_that_exist() {
+    let (checks, figures) = (checks(), figures());
+    let numbers: Vec<u8> = checks.iter().map(|check| check.number).collect();
+    assert_eq!(numbers, (1..=40).collect::<Vec<u8>>());
+    let mut page = String::from(
+        "| # | fault | how injected | figures: found (bar), trials | test | negative control |\n|---|---|---|---|---|---|\n",
+    );
+    for check in &checks {
+        let own = figures.iter().filter(|figure| figure.check == check.number);
+        let told: Vec<String> = own
+            .map(|figure| {
+                let share = if figure.full { "" } else { " of a plain run" };
+                format!("{}: **{}** ({}), {} trials{share}", figure.what, figure.found, figure.bar, figure.trials)
+            })
+            .collect();
+        assert!(!told.is_empty(), "check {} has no figure", check.number);
+        assert!(!check.tests.is_empty(), "check {}", check.number);
+        // A check without a negative control says so on the page.
+        let controls = if check.controls.is_empty() { "none".to_owned() } else { existing(&check.controls) };
+        let tests = existing(&check.tests);
+        let Check { number, fault, injected, .. } = check;
+        let _ = writeln!(page, "| {number} | {fault} | {injected} | {} | {tests} | {controls} |", told.join("<br>"));
+    }
+    held("checks", &page);
 }
 
 /// What a heading is linked by: small letters, hyphens for spaces, no punctuation.

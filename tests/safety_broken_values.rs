@@ -10,12 +10,12 @@ use noctule::control::{ControlParams, Controller, PlatformLimits};
 use noctule::imaging::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput};
 use noctule::imaging::channels::{ChannelFinding, ChannelReport};
 use noctule::imaging::cpu::CpuBackend;
-use noctule::safety::{DaemonEvent, DaemonState, Reason};
+use noctule::safety::{DaemonState, Reason};
 use noctule::service::wiring;
 use noctule::signal::{CoverageCue, Cues, PingSet, RowSums, SENSORS_MAX, Samples, Velocity};
 use noctule::sim::SimParams;
 use noctule::time::Stamp;
-use perception_rig::{MS, RECORDING_NS, Random, Rig, Z1_MS, config, hall, recorded};
+use perception_rig::{MS, Random, Rig, config, hall, recorded};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
@@ -50,7 +50,7 @@ impl Backend for Spoilt {
     fn image(&mut self, pings: &PingSet, image: &mut Image) -> Result<(), BackendError> {
         self.inner.image(pings, image)?;
         image.backend = BackendKind::Gpu;
-        if let Some((value, place)) = *self.spoil.lock().expect("lock") {
+        if let Some((value, place)) = self.spoil.lock().expect("lock").take() {
             let row = place / 4 % image.sums.len();
             let sums = &mut image.sums[row];
             *[&mut sums.energy, &mut sums.turn, &mut sums.flow, &mut sums.peak][place % 4] = value;
@@ -86,45 +86,38 @@ fn spoilt_rig(config: &Config) -> (Rig, Arc<Mutex<Option<(f32, usize)>>>) {
 }
 
 #[test]
-fn a_result_that_is_no_number_stops_the_robot_within_z1() {
+fn a_result_that_is_no_number_is_imaged_again_on_the_cpu_and_never_followed() {
     let config = quick();
     let good = recorded(&config, hall(), SimParams::default(), 6, &[]);
-    let (mut rig, spoil) = spoilt_rig(&config);
     let runs = trials(3_000, 40);
     let mut random = Random(2);
-    let (mut slowest_ms, mut stopped, mut driving) = (0.0_f64, 0, 0);
+    let (mut followed, mut met, mut driving) = (0, 0, 0);
+    let (mut rig, mut spoil) = spoilt_rig(&config);
     rig.drive(&good);
     for run in 0..runs {
         let value = value(&mut random);
         *spoil.lock().expect("lock") = Some((value, random.next() as usize));
-        let arrival_ns = rig.now_ns + RECORDING_NS;
         let moved = rig.told.last().is_none_or(|(_, velocity)| velocity.linear_m_s > 0.0);
         let outcome = rig.step(&good[run % 6], |_| {});
-        *spoil.lock().expect("lock") = None;
-        assert!(outcome.velocity.is_finite());
-        if !value.is_finite() || value < -1.0 {
-            // A turn may have either sign.
-            let sound = value == -1e38 && outcome.velocity.is_finite();
-            assert!(outcome.velocity == Velocity::ZERO || sound, "{value}: {:?}", outcome.output);
+        // Taken by the backend, unless that rests after three failures.
+        let reached = spoil.lock().expect("lock").take().is_none();
+        let image = rig.pipeline.image();
+        let finite = image.energyscapes.iter().flat_map(|scape| &scape.values).all(|cell| cell.is_finite());
+        if !value.is_finite() && reached {
+            met += 1;
+            driving += usize::from(moved);
+            followed += usize::from(!finite || image.backend != BackendKind::Cpu);
         }
-        assert!(outcome.velocity.linear_m_s <= 0.3);
-        stopped += usize::from(outcome.output.state == DaemonState::Stopped);
+        assert!(outcome.velocity.is_finite() && outcome.velocity.linear_m_s <= 0.3, "{value}: {:?}", outcome.output);
         rig.step(&good[(run + 1) % 6], |_| {});
-        if moved && !value.is_finite() {
-            driving += 1;
-            slowest_ms = slowest_ms.max(rig.still_after_ms(arrival_ns).expect("stands"));
-        }
-        // An operator sets it going again now and then; in between the faults fall on a robot that stands.
-        if run % 8 == 7 {
-            if rig.pipeline.daemon().state() != DaemonState::Fault {
-                rig.pipeline.tell(DaemonEvent::InternalError, perception_rig::stamp(rig.now_ns));
-            }
-            rig.drive_again(&good);
+        // A backend that failed three times rests: on with another.
+        if run % 4 == 3 {
+            (rig, spoil) = spoilt_rig(&config);
+            rig.drive(&good);
         }
     }
-    assert!(rig.told.iter().all(|(_, velocity)| velocity.is_finite()));
-    figure(2, "backend results spoilt: arrival to zero at the gate, slowest, ms", slowest_ms, "<= 150", driving);
-    assert!(slowest_ms <= Z1_MS && driving >= 3 && stopped >= 3, "{driving} while driving, {stopped} stopped");
+    figure(2, "backend results that are no numbers and were followed", followed, "0", met);
+    assert!(followed == 0 && met >= 3 && driving >= 3, "{followed} followed of {met}, {driving} while driving");
 }
 
 #[test]

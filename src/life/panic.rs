@@ -58,3 +58,28 @@ pub fn contained<T>(call: impl FnOnce() -> T) -> T {
     let _mark = Mark(CONTAINED.replace(true));
     call()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::time::{Duration, Instant};
+
+    /// Threads that no test can reach into, such as those that watch over the transport's calls, fall under the same rule.
+    #[test]
+    fn a_panic_of_a_thread_that_nobody_knows_ends_the_process_with_70() {
+        const CHILD: &str = "NOCTULE_TEST_PANIC_CHILD";
+        if std::env::var_os(CHILD).is_some() {
+            super::end_on_panic(&Arc::default());
+            let watch = std::thread::Builder::new().name("noctule-test watch".to_owned());
+            watch.spawn(|| panic!("planted")).unwrap();
+            std::thread::sleep(Duration::from_secs(10));
+            std::process::exit(0);
+        }
+        let program = std::env::current_exe().unwrap();
+        let test = "life::panic::tests::a_panic_of_a_thread_that_nobody_knows_ends_the_process_with_70";
+        let began = Instant::now();
+        let output = std::process::Command::new(program).args(["--exact", test]).env(CHILD, "1").output().unwrap();
+        assert_eq!(output.status.code(), Some(70));
+        assert!(began.elapsed() < Duration::from_secs(5));
+    }
+}
