@@ -222,6 +222,16 @@ fn three_late_ping_sets_in_a_row_rest_the_gpu_and_nobody_waits_longer_than_80_ms
     assert!(worst <= Duration::from_millis(80), "{worst:?}");
 }
 
+/// Negative control: a device that is waited for longer than it may take is seen to.
+#[test]
+fn a_longer_wait_would_be_noticed() {
+    let mut scene = Scene::new();
+    let (opener, _) = scene.opener(|_| sound());
+    let mut imager = scene.imager(scene.device(at(1, DeviceFault::Late(3 * LATE_MAX))), opener);
+    let worst = (0..3).map(|_| scene.frame(&mut imager).1).max().unwrap();
+    assert!(worst > Duration::from_millis(80), "{worst:?}");
+}
+
 /// What never comes back must hold up neither ping sets nor the end: closing, or opening, takes a minute here.
 #[test]
 fn a_device_that_hangs_while_it_is_closed_or_opened_holds_up_neither_ping_sets_nor_the_end() {

@@ -18,20 +18,20 @@ pub use troubles::{Case, Demand, Trouble, catalogue};
 use super::ServiceError;
 use super::drive::{CLOCK_START_NS, Drive};
 use super::trial::TrialRig;
-use crate::imaging::backend::{Backend, BackendError};
+use crate::imaging::backend::{Backend, BackendError, BackendReport, Image, Stage, StageOutput};
 use crate::imaging::cpu::CpuBackend;
 use crate::imaging::drill::{DeviceFault, Drill};
 use crate::imaging::quarantine::Trust;
 use crate::imaging::{Imager, Opener};
 use crate::safety::OperatorEvent;
-use crate::signal::{DaemonState, GateState, SENSORS_MAX, Velocity};
+use crate::signal::{DaemonState, GateState, PingSet, SENSORS_MAX, Velocity};
 use crate::sim::{Faults, SimParams, World};
 use crate::time::{ManualClock, Stamp};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 const SECOND_NS: u64 = 1_000_000_000;
@@ -327,12 +327,50 @@ impl<'a> Run<'a> {
     }
 }
 
+/// The one CPU behind every device that is opened in the course of a soak: buffers made anew by other threads again and again would
+/// show as growing memory, and it is not the allocator that is to be judged.
+struct Lent {
+    cpu: Arc<Mutex<CpuBackend>>,
+    report: BackendReport,
+}
+
+impl Lent {
+    fn cpu(&self) -> MutexGuard<'_, CpuBackend> {
+        self.cpu.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Backend for Lent {
+    fn image(&mut self, pings: &PingSet, image: &mut Image) -> Result<(), BackendError> {
+        self.cpu().image(pings, image)
+    }
+
+    fn image_up_to(
+        &mut self,
+        stage: Stage,
+        pings: &PingSet,
+        sensor_index: usize,
+        image: &mut Image,
+    ) -> Result<StageOutput, BackendError> {
+        self.cpu().image_up_to(stage, pings, sensor_index, image)
+    }
+
+    fn stage_times_ns(&self) -> [u64; 5] {
+        self.cpu().stage_times_ns()
+    }
+
+    fn report(&self) -> &BackendReport {
+        &self.report
+    }
+}
+
 /// An imager whose GPU is a drill on the CPU and does what `switch` says.
 fn drilled(rig: &TrialRig, switch: &Arc<AtomicU8>, clock: &Arc<ManualClock>) -> Result<Imager, BackendError> {
     let (plan, masks) = (Arc::clone(&rig.setup().plan), Arc::clone(rig.masks().table()));
-    let (plan_of_new, masks_of_new, switch) = (Arc::clone(&plan), Arc::clone(&masks), Arc::clone(switch));
+    let cpu = CpuBackend::open(Arc::clone(&plan), Arc::clone(&masks), Some(1))?;
+    let (report, cpu, switch) = (cpu.report().clone(), Arc::new(Mutex::new(cpu)), Arc::clone(switch));
     let mut opener: Opener = Box::new(move || -> Result<Box<dyn Backend>, BackendError> {
-        let cpu = CpuBackend::open(Arc::clone(&plan_of_new), Arc::clone(&masks_of_new), Some(1))?;
+        let cpu = Lent { cpu: Arc::clone(&cpu), report: report.clone() };
         let switch = Arc::clone(&switch);
         let fault = move |_| match switch.load(Ordering::Relaxed) {
             GPU_LOST => Some(DeviceFault::Lost),
