@@ -104,30 +104,16 @@ impl GpuGuard {
 
     /// Has a trusted GPU image a ping set; false when the CPU has to.
     pub(super) fn image(&mut self, pings: &PingSet, image: &mut Image) -> bool {
-        if self.trust() != Trust::Trusted {
-            return false;
+        let imaged = self.trust() == Trust::Trusted && self.attempt(pings, image);
+        if imaged {
+            self.tell(GpuEvent::Good);
         }
-        match self.try_image(pings, image) {
-            Ok(()) => {
-                self.tell(GpuEvent::Good);
-                true
-            }
-            Err(error) => {
-                self.failed(error);
-                false
-            }
-        }
+        imaged
     }
 
-    /// Has a GPU on probation image a ping set into `image`, to be compared.
-    pub(super) fn image_on_probation(&mut self, pings: &PingSet, image: &mut Image) -> bool {
-        match self.try_image(pings, image) {
-            Ok(()) => true,
-            Err(error) => {
-                self.failed(error);
-                false
-            }
-        }
+    /// Has the GPU image a ping set, whatever its standing: what a GPU on probation images is to be compared, not used.
+    pub(super) fn attempt(&mut self, pings: &PingSet, image: &mut Image) -> bool {
+        self.try_image(pings, image).map_err(|error| self.failed(error)).is_ok()
     }
 
     /// Says whether an image equalled the CPU's.

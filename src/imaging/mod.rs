@@ -213,7 +213,7 @@ impl Imager {
             },
             (Trust::OnProbation, BackendKind::Cpu) => {
                 std::mem::swap(&mut self.image.channels, &mut self.other.channels);
-                let imaged = gpu.image_on_probation(pings, &mut self.other);
+                let imaged = gpu.attempt(pings, &mut self.other);
                 std::mem::swap(&mut self.image.channels, &mut self.other.channels);
                 if imaged {
                     self.compared(distance(&self.other, &self.image));
@@ -365,8 +365,12 @@ fn distance(image: &Image, reference: &Image) -> f64 {
         relative_l2(rows().map(|(a, b)| (a.flow, b.flow))),
         relative_l2(rows().map(|(a, b)| (a.peak, b.peak))),
     ];
-    // Not `f64::max`, which ignores NaN.
-    of_scapes.chain(sums).fold(0.0, |worst, next| if next <= worst { worst } else { next })
+    largest(of_scapes.chain(sums))
+}
+
+/// The largest of some distances; NaN when one of them is, which `f64::max` would ignore.
+fn largest(distances: impl Iterator<Item = f64>) -> f64 {
+    distances.fold(0.0, |worst, next| if worst.is_nan() || next <= worst { worst } else { next })
 }
 
 /// |a - b| / |b|, zero when all are equal.
@@ -402,4 +406,18 @@ fn open_gpu(
     let mut gpu = gpu::GpuBackend::open_caught(plan, masks, allow_software, deadline_ms)?;
     gpu.set_reason(if allow_software { "a GPU was asked for" } else { "it is the best hardware GPU here" }.to_owned());
     Ok(Box::new(gpu))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_distance_that_is_no_number_is_never_forgotten_for_one_that_is() {
+        for distances in [[f64::NAN, 0.0, 1.0], [0.0, f64::NAN, 1.0], [1.0, 0.0, f64::NAN]] {
+            assert!(!(largest(distances.into_iter()) <= AGREEMENT_MAX), "{distances:?}");
+        }
+        assert_eq!(largest([0.5, 2.0, 1.0].into_iter()), 2.0);
+        assert_eq!(largest(std::iter::empty()), 0.0);
+    }
 }
