@@ -5,9 +5,11 @@
 
 mod bad_input_entries;
 mod checks;
+mod common;
 
 use bad_input_entries::{ENTRIES, Entry, NOW};
 use checks::{figure, trials};
+use common::Random;
 use noctule::io::wire::Checked as _;
 use noctule::io::wire::message::{OperatorRequest, RawHeader, Request, VelocityCommand};
 use noctule::signal::{DaemonState, Reason};
@@ -61,23 +63,6 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// SplitMix64: cases must not change when a crate does.
-struct Random(u64);
-
-impl Random {
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, count: usize) -> usize {
-        (self.bits() % count.max(1) as u64) as usize
-    }
-}
-
 /// What parsers stumble over.
 const WORDS: &[&[u8]] = &[
     b"nan",
@@ -123,30 +108,30 @@ const WORDS: &[&[u8]] = &[
 
 /// An example, broken at one to eight places.
 fn broken(random: &mut Random, examples: &[Vec<u8>]) -> Vec<u8> {
-    let mut bytes = examples[random.below(examples.len())].clone();
-    for _ in 0..=random.below(8) {
-        let at = random.below(bytes.len() + 1);
-        let end = (at + random.below(24)).min(bytes.len());
-        match random.below(9) {
-            0 if at < bytes.len() => bytes[at] ^= 1 << random.below(8),
+    let mut bytes = examples[random.index(examples.len())].clone();
+    for _ in 0..=random.index(8) {
+        let at = random.index(bytes.len() + 1);
+        let end = (at + random.index(24)).min(bytes.len());
+        match random.index(9) {
+            0 if at < bytes.len() => bytes[at] ^= 1 << random.index(8),
             1 if at < bytes.len() => bytes[at] = random.bits() as u8,
-            2 => drop(bytes.splice(at..end, WORDS[random.below(WORDS.len())].iter().copied())),
-            3 => drop(bytes.splice(at..at, WORDS[random.below(WORDS.len())].iter().copied())),
+            2 => drop(bytes.splice(at..end, WORDS[random.index(WORDS.len())].iter().copied())),
+            3 => drop(bytes.splice(at..at, WORDS[random.index(WORDS.len())].iter().copied())),
             4 => drop(bytes.drain(at..end)),
             5 => bytes.truncate(at),
             6 => {
-                let piece: Vec<u8> = bytes[at..end].repeat(1 + random.below(4));
+                let piece: Vec<u8> = bytes[at..end].repeat(1 + random.index(4));
                 drop(bytes.splice(at..at, piece));
             }
             7 => {
-                let other = &examples[random.below(examples.len())];
-                let from = random.below(other.len() + 1);
-                let to = (from + random.below(64)).min(other.len());
+                let other = &examples[random.index(examples.len())];
+                let from = random.index(other.len() + 1);
+                let to = (from + random.index(64)).min(other.len());
                 drop(bytes.splice(at..end, other[from..to].iter().copied()));
             }
             _ => {
                 let number = random.bits().to_le_bytes();
-                let end = (at + 1 + random.below(8)).min(bytes.len());
+                let end = (at + 1 + random.index(8)).min(bytes.len());
                 bytes[at..end].copy_from_slice(&number[..end - at]);
             }
         }

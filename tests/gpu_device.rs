@@ -5,13 +5,13 @@
 mod common;
 
 use common::gpu::gpu;
-use common::scenes::{Case, random_masks};
+use common::scenes::{Case, heavy, random_masks};
 use noctule::imaging::backend::{Backend, BackendError, BackendKind, Image, Stage};
 use noctule::imaging::gpu::{AdapterKind, GpuBackend, adapters};
 use noctule::imaging::params::Prefer;
 use noctule::imaging::plan::ImagingPlan;
 use noctule::imaging::{Imager, ImagerOptions};
-use noctule::signal::{Direction, MaskTable, PingSet, SampleFormat};
+use noctule::signal::{MaskTable, PingSet, SampleFormat};
 use std::process::Command;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -69,23 +69,12 @@ fn a_ping_set_of_a_lost_gpu_is_imaged_on_the_cpu() {
     assert!(matches!(imager.last_failure(), Some(BackendError::Lost(_))));
 }
 
-/// Work that takes any software adapter far longer than the limits below: 1800 directions of three sensors.
-fn heavy_scene() -> (Arc<ImagingPlan>, Arc<MaskTable>, PingSet) {
-    let mut case = Case::standard("late", SampleFormat::PcmF32, 3, 180);
-    case.directions = (0..1800).map(|i| Direction::horizontal((-89.95 + 0.1 * f64::from(i)).to_radians())).collect();
-    case.hidden = vec![vec![false; 1800]; 3];
-    let plan = case.plan();
-    let masks = random_masks(&plan, 7);
-    let pings = PingSet::empty(3, SampleFormat::PcmF32, &[plan.raw_len(0); 3]);
-    (plan, masks, PingSet { present: [true; 3], ..pings })
-}
-
 #[test]
 fn a_device_that_is_late_is_given_up_at_the_deadline_and_not_waited_for_at_the_end() {
     if !gpu() {
         return;
     }
-    let (plan, masks, pings) = heavy_scene();
+    let (plan, masks, pings) = heavy();
     let mut backend = open(&plan, &masks, 1);
     let mut image = Image::empty(&plan, &masks);
     let mut took = Vec::new();

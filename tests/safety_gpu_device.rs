@@ -10,13 +10,13 @@ use checks::{figure, trials};
 use common::Random;
 use common::gpu::gpu;
 use common::lap::Lap;
-use common::scenes::{Case, random_masks};
+use common::scenes::{Case, heavy, random_masks};
 use noctule::imaging::backend::{Backend, BackendError, BackendKind, Image};
 use noctule::imaging::gpu::{AdapterKind, GpuBackend};
 use noctule::imaging::plan::ImagingPlan;
 use noctule::imaging::quarantine::Trust;
 use noctule::imaging::{AGREEMENT_MAX, Imager, Opener};
-use noctule::signal::{Direction, MaskTable, PingSet, SampleFormat};
+use noctule::signal::{MaskTable, PingSet, SampleFormat};
 use noctule::time::{ManualClock, Stamp};
 use std::collections::BTreeMap;
 use std::process::Command;
@@ -185,17 +185,6 @@ fn a_hundred_real_losses_lose_no_ping_set() {
     figure(13, "longest ping set while a device is lost, ms", most.as_millis(), "ordinary + 60", losses);
     assert_eq!(late, 0);
     assert!(most <= ordinary + Duration::from_millis(DEADLINE_MS) + 2 * NOISE, "{most:?}, ordinary {ordinary:?}");
-}
-
-/// Work that takes any software adapter far longer than the deadline: 1800 directions of three sensors.
-fn heavy() -> (Arc<ImagingPlan>, Arc<MaskTable>, PingSet) {
-    let mut case = Case::standard("late", SampleFormat::PcmF32, 3, 180);
-    case.directions = (0..1800).map(|i| Direction::horizontal((-89.95 + 0.1 * f64::from(i)).to_radians())).collect();
-    case.hidden = vec![vec![false; 1800]; 3];
-    let plan = case.plan();
-    let masks = random_masks(&plan, 7);
-    let pings = PingSet::empty(3, SampleFormat::PcmF32, &[plan.raw_len(0); 3]);
-    (plan, masks, PingSet { present: [true; 3], ..pings })
 }
 
 #[test]

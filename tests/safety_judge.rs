@@ -172,15 +172,21 @@ impl FakeController {
     }
 }
 
-#[test]
-fn a_controller_that_falls_silent_is_stopped_by_the_base_after_250_ms() {
-    let place = Place::new();
-    let mut controller = FakeController::new(&place);
+/// A controller that says zero, and a judge who has begun to hear it.
+fn listening(place: &Place) -> (FakeController, Judge) {
+    let mut controller = FakeController::new(place);
     let mut judge = Judge::start(&place.root(), &place.params.prefix, place.directory.path());
     while judge.record.heard.is_empty() {
         controller.say_for(20, 0.0);
         judge.look();
     }
+    (controller, judge)
+}
+
+#[test]
+fn a_controller_that_falls_silent_is_stopped_by_the_base_after_250_ms() {
+    let place = Place::new();
+    let (mut controller, mut judge) = listening(&place);
     let (mut worst_ns, count) = (0, trials(30, 3));
     for _ in 0..count {
         controller.say_for(100, 0.1);
@@ -204,12 +210,7 @@ fn a_controller_that_falls_silent_is_stopped_by_the_base_after_250_ms() {
 #[test]
 fn a_live_controller_that_says_zero_late_or_moves_again_is_caught() {
     let place = Place::new();
-    let mut controller = FakeController::new(&place);
-    let mut judge = Judge::start(&place.root(), &place.params.prefix, place.directory.path());
-    while judge.record.heard.is_empty() {
-        controller.say_for(20, 0.0);
-        judge.look();
-    }
+    let (mut controller, mut judge) = listening(&place);
     let fault_ns = now_ns();
     controller.say_for(400, 0.2);
     controller.say_for(200, 0.0);

@@ -10,11 +10,12 @@ use super::session::Session;
 use super::topics::Topic;
 use super::wire::message::{RawHeader, format_number};
 use super::wire::{HEADER_VERSION, WireType};
+use crate::safety::check_age;
 use crate::signal::{RawPing, SampleFormat, Samples};
 use crate::time::{FUTURE_LIMIT_NS, Stamp};
 
 /// Oldest emission of a ping on arrival: no timeout of the daemon is longer.
-const AGE_MAX_NS: i64 = 1_000_000_000;
+const AGE_MAX_NS: u64 = 1_000_000_000;
 
 /// One port a sample format.
 #[derive(Debug)]
@@ -84,8 +85,8 @@ impl RawShape {
                 return Err(RawRefusal::Header { field, found, allowed });
             }
         }
-        let age_ns = now.since_ns(Stamp { boottime_ns: header.t_monotonic_ns, wall_ns: 0 });
-        if !(-FUTURE_LIMIT_NS.cast_signed()..=AGE_MAX_NS).contains(&age_ns) {
+        if check_age(header.t_monotonic_ns, now, AGE_MAX_NS).is_err() {
+            let age_ns = now.since_ns(Stamp { boottime_ns: header.t_monotonic_ns, wall_ns: 0 });
             return Err(RawRefusal::Age { found_ms: age_ns / 1_000_000 });
         }
         if value_count != self.len() {

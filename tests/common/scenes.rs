@@ -307,3 +307,14 @@ pub fn random_masks(plan: &ImagingPlan, seed: u64) -> Arc<MaskTable> {
     }
     Arc::new(table)
 }
+
+/// Work that takes any software adapter far longer than a deadline: 1800 directions of three sensors.
+pub fn heavy() -> (Arc<ImagingPlan>, Arc<MaskTable>, PingSet) {
+    let mut case = Case::standard("late", SampleFormat::PcmF32, 3, 180);
+    case.directions = (0..1800).map(|i| Direction::horizontal((-89.95 + 0.1 * f64::from(i)).to_radians())).collect();
+    case.hidden = vec![vec![false; 1800]; 3];
+    let plan = case.plan();
+    let masks = random_masks(&plan, 7);
+    let pings = PingSet::empty(3, SampleFormat::PcmF32, &[plan.raw_len(0); 3]);
+    (plan, masks, PingSet { present: [true; 3], ..pings })
+}

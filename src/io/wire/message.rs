@@ -5,6 +5,7 @@
 
 use super::{Checked, HEADER_VERSION, NO_SENSOR, WireType, wire_type};
 use crate::geometry::Pose2;
+use crate::safety::check_age;
 use crate::signal::{Cause, DaemonState, Decision, LayerName, PolarGrid, Reason, SampleFormat, Velocity};
 use crate::time::Stamp;
 use iceoryx2::prelude::ZeroCopySend;
@@ -380,9 +381,8 @@ impl VelocityInput {
     /// The wanted velocity at `now`: (0, 0) when older than `max_age_ns`, from more than 50 ms ahead, or not finite.
     #[must_use]
     pub fn wanted(&self, now: Stamp, max_age_ns: u64) -> Velocity {
-        let age_ns = now.since_ns(Stamp { boottime_ns: self.t_monotonic_ns, wall_ns: 0 });
         let velocity = Velocity { linear_m_s: self.linear_m_s, angular_rad_s: self.angular_rad_s };
-        let fresh = age_ns >= -50_000_000 && age_ns <= i64::try_from(max_age_ns).unwrap_or(i64::MAX);
+        let fresh = check_age(self.t_monotonic_ns, now, max_age_ns).is_ok();
         if fresh && velocity.is_finite() && self.schema_matches() { velocity } else { Velocity::ZERO }
     }
 }
