@@ -3,7 +3,7 @@
 
 mod ipc_rig;
 
-use ipc_rig::{Place, files_below, shared_memory_files, wait_for};
+use ipc_rig::{Place, files_below, foreign_node, shared_memory_files, wait_for};
 use noctule::io::wire::message::VelocityCommand;
 use noctule::io::{ControllerTopics, DaemonTopics, Ipc, IpcError, IpcParams, wipe};
 use noctule::signal::{DaemonState, Reason};
@@ -132,6 +132,31 @@ fn what_a_killed_daemon_left_is_healed() {
     let told = start_in_a_child(&place, "killed");
     assert!(told.contains("healed"), "{told}");
     assert_eq!(place.left_behind(), Vec::<String>::new());
+}
+
+/// A client of another language is registered in several steps; a start of ours in between must not take its files for those of
+/// the dead. Its first file is planted here and the rest follows while our start looks.
+#[test]
+fn files_of_a_client_that_is_just_starting_are_left_alone() {
+    let place = Place::new();
+    let folder = place.root().join("nodes/77");
+    let first = folder.join(format!("{}details", place.params.prefix));
+    fs::create_dir_all(&folder).expect("made");
+    fs::write(&first, "half a registration").expect("written");
+    let (root, prefix) = (place.root(), place.params.prefix.clone());
+    let rest = std::thread::spawn(move || {
+        std::thread::sleep(Duration::from_millis(30));
+        foreign_node(&root, &prefix)
+    });
+    let mut daemon = open(&place.ipc).expect("daemon");
+    let client = rest.join().expect("the client is registered");
+    assert!(first.exists(), "a living client's file was removed");
+    works(&place.ipc, &mut daemon);
+    drop((daemon, client));
+
+    // The negative control: with nobody coming to life the same file goes.
+    let _daemon = open(&place.ipc).expect("daemon");
+    assert!(!first.exists(), "what the dead left was kept");
 }
 
 #[test]

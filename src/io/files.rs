@@ -136,35 +136,54 @@ pub(super) fn close_to_others(root: &Path, prefix: &str) {
     }
 }
 
-/// Removes what the transport has under this root and prefix; returns how many files there were. Locks of ours stay.
-///
-/// To be called only while holding the root's lock for set-up, when no process uses the files.
-pub(super) fn remove_all(root: &Path, prefix: &str) -> std::io::Result<usize> {
-    let mut removed = 0;
-    let mut remove = |path: &Path| match std::fs::remove_file(path) {
-        Ok(()) => {
-            removed += 1;
-            Ok(())
-        }
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        Err(error) => Err(error),
-    };
-    let mut folders = Vec::new();
-    for (path, metadata) in below(root) {
-        if metadata.is_dir() {
-            folders.push(path);
-        } else if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(prefix)) {
-            remove(&path)?;
-        }
+/// What the transport has under one root and prefix at one moment, and nothing that comes later.
+#[derive(Debug)]
+pub(super) struct Remains {
+    files: Vec<(PathBuf, Metadata)>,
+    folders: Vec<PathBuf>,
+}
+
+impl Remains {
+    pub(super) fn list(root: &Path, prefix: &str) -> Self {
+        let ours = rustix::process::geteuid().as_raw();
+        let (folders, mut files): (Vec<_>, Vec<_>) =
+            below(root).into_iter().partition(|(_, metadata)| metadata.is_dir());
+        files.retain(|(path, _)| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(prefix)));
+        files.extend(shared(prefix).filter(|(_, metadata)| metadata.uid() == ours));
+        let mut folders: Vec<PathBuf> = folders.into_iter().map(|(path, _)| path).collect();
+        // Deepest first, so that a folder is empty when its turn comes.
+        folders.sort_by_key(|path| std::cmp::Reverse(path.as_os_str().len()));
+        Self { files, folders }
     }
-    let ours = rustix::process::geteuid().as_raw();
-    for (path, _) in shared(prefix).filter(|(_, metadata)| metadata.uid() == ours) {
-        remove(&path)?;
+
+    /// How long ago the newest of the files was written; none without files. One from the future is new.
+    pub(super) fn age(&self) -> Option<Duration> {
+        let written = self.files.iter().filter_map(|(_, metadata)| metadata.modified().ok()).max()?;
+        Some(written.elapsed().unwrap_or_default())
     }
-    // Deepest first. A folder that another prefix still uses is not empty and stays.
-    folders.sort_by_key(|path| std::cmp::Reverse(path.as_os_str().len()));
-    folders.iter().for_each(|folder| drop(std::fs::remove_dir(folder)));
-    Ok(removed)
+
+    /// Removes the files, and those of the folders inside the transport's two that are empty then; returns how many files there
+    /// were. A file that was put in a listed one's place since stays, and so do the transport's two folders: somebody may just be
+    /// about to write there. Locks of ours are none of the transport's.
+    ///
+    /// To be called only while holding the root's lock for set-up, when no process uses the files.
+    pub(super) fn remove(&self) -> std::io::Result<usize> {
+        let mut removed = 0;
+        for (path, listed) in &self.files {
+            if std::fs::symlink_metadata(path).is_ok_and(|now| now.ino() != listed.ino()) {
+                continue;
+            }
+            match std::fs::remove_file(path) {
+                Ok(()) => removed += 1,
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+                Err(error) => return Err(error),
+            }
+        }
+        // A folder that another prefix still uses is not empty and stays.
+        let inner = |path: &&PathBuf| !FOLDERS.iter().any(|folder| path.ends_with(folder));
+        self.folders.iter().filter(inner).for_each(|folder| drop(std::fs::remove_dir(folder)));
+        Ok(removed)
+    }
 }
 
 /// Removes everything that daemon, controller and their clients have under the root and prefix of `params`: what a supervisor
@@ -183,7 +202,9 @@ pub fn wipe(params: &IpcParams) -> Result<usize, IpcError> {
         return Err(IpcError::Stuck { what, root, prefix: params.prefix.clone() });
     }
     let _no_daemon = DaemonLock::acquire(&root, &params.prefix)?;
-    remove_all(&root, &params.prefix).map_err(cannot)
+    let removed = Remains::list(&root, &params.prefix).remove().map_err(cannot)?;
+    FOLDERS.iter().for_each(|folder| drop(std::fs::remove_dir(root.join(folder))));
+    Ok(removed)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! used, and its default of waiting for slow receivers neither.
 
 use super::error::IpcError;
-use super::files::{self, SHARED_MEMORY};
+use super::files::{self, Remains, SHARED_MEMORY};
 use super::params::IpcParams;
 use super::probe::{OpenFiles, Probe};
 use super::root::{DaemonLock, SetupLock, prepare};
@@ -236,12 +236,20 @@ impl Ipc {
     }
 
     /// Begins with nothing where nobody lives: whatever the dead left, and in what state, can then do no harm.
+    ///
+    /// A client of any language may be starting at this very moment: what is young is given time to turn out to be alive, and
+    /// what comes later is left alone.
     fn clear_if_alone(&self) -> Result<(), IpcError> {
-        if living_others(&self.config, None) != Some(0) {
-            return Ok(());
+        let alone = || living_others(&self.config, None) == Some(0);
+        let remains = Remains::list(&self.root, &self.prefix);
+        let Some(age) = remains.age().filter(|_| alone()) else { return Ok(()) };
+        if age < MAKING_LIMIT {
+            std::thread::sleep(MAKING_LIMIT - age);
+            if !alone() {
+                return Ok(());
+            }
         }
-        let removed = files::remove_all(&self.root, &self.prefix)
-            .map_err(|source| IpcError::CannotCreate { path: self.root.clone(), source })?;
+        let removed = remains.remove().map_err(|source| IpcError::CannotCreate { path: self.root.clone(), source })?;
         if removed > 1 {
             log::info!("{removed} files of dead processes were removed from {}", self.root.display());
         }
