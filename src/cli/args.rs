@@ -63,6 +63,8 @@ pub enum Command {
     Detect(DetectArguments),
     /// List every topic with its types and the byte offset of every field.
     Topics(TopicsArguments),
+    /// Copy energyscapes, commands and states to topics that the transport's link can carry to other machines.
+    Relay(RelayArguments),
     /// Print what passes on a topic.
     Echo(EchoArguments),
     /// Check a configuration, world or recording and say what is wrong with it.
@@ -312,8 +314,24 @@ pub struct TopicsArguments {
     #[arg(long)]
     pub json: bool,
     /// Print the types as a C header.
-    #[arg(long, conflicts_with = "json")]
+    #[arg(long, conflicts_with_all = ["json", "relayed", "transport"])]
     pub c_header: bool,
+    /// With --json: the copies that `noctule relay` makes, as a client on another machine needs them.
+    #[arg(long, requires = "json")]
+    pub relayed: bool,
+    /// Print the transport's own configuration (iceoryx2.toml), for its command line tools and its link.
+    #[arg(long, conflicts_with = "json")]
+    pub transport: bool,
+}
+
+/// `relay`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  noctule relay
+  noctule relay --config robot.toml")]
+pub struct RelayArguments {
+    #[command(flatten)]
+    pub choice: ConfigChoice,
 }
 
 /// `echo`.

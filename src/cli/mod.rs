@@ -12,6 +12,7 @@ mod detect;
 mod masks;
 mod output;
 mod process;
+mod relay;
 mod run;
 mod simulate;
 mod soak;
@@ -155,6 +156,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Masks(arguments) => masks::masks(&arguments),
         Command::Bench(arguments) => bench::bench(&arguments),
         Command::Detect(arguments) => detect::detect(&arguments),
+        Command::Relay(arguments) => relay::relay(&arguments),
         Command::Topics(arguments) => topics::topics(&arguments),
         Command::Echo(arguments) => topics::echo(&arguments),
         Command::Check(arguments) => check::check(&arguments),

@@ -7,7 +7,7 @@ use super::run::{ipc_failure, prefer_pcm, stop_flag};
 use crate::io::Ipc;
 use crate::io::c_header::c_header;
 use crate::io::echo::{Echo, EchoLimit};
-use crate::io::topics::{topics_json, topics_table};
+use crate::io::topics::{relayed_json, topics_json, topics_table};
 use std::time::Duration;
 
 /// Prints where the topics are, and every type with the offset of every field.
@@ -21,6 +21,13 @@ pub fn topics(arguments: &TopicsArguments) -> Result<(), Failure> {
     let config = super::config::load(&arguments.choice)?;
     let sensors: Vec<String> = config.sensor.iter().map(|sensor| sensor.name.clone()).collect();
     let format = config.recording.format;
+    if arguments.transport {
+        let ipc = Ipc::open(&config.ipc).map_err(|error| ipc_failure(&error))?;
+        return print_line(ipc.transport_toml().map_err(|error| ipc_failure(&error))?.trim_end());
+    }
+    if arguments.relayed {
+        return print_line(&relayed_json(&config.ipc, &sensors, format).to_string());
+    }
     if arguments.json {
         print_line(&topics_json(&config.ipc, &sensors, format).to_string())
     } else {

@@ -51,7 +51,8 @@ impl Echo {
         sensors: &[String],
         format: SampleFormat,
     ) -> Result<Self, IpcError> {
-        let all = Topic::all(sensors, format);
+        let mut all = Topic::all(sensors, format);
+        all.extend(Topic::all_relayed(sensors));
         let known = || all.iter().map(|topic| topic.name.as_str()).collect::<Vec<_>>().join(", ");
         let found = all
             .iter()
@@ -130,7 +131,7 @@ fn listen(session: &Session, topic: &Topic) -> Result<Box<dyn Listen>, IpcError>
     {
         Ok(Box::new(session.subscriber::<T>(topic)?))
     }
-    match topic.name.as_str() {
+    match topic.original_name().as_str() {
         topics::COMMAND => fixed::<VelocityCommand>(session, topic),
         topics::INPUT => fixed::<VelocityInput>(session, topic),
         topics::OPERATOR => fixed::<OperatorRequest>(session, topic),

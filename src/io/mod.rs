@@ -7,7 +7,7 @@
 //! | [`node`], `session`, `ports`, `watch` | set-up, ports, a way out of a hang |
 //! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`energyscape_reader`] | who publishes and listens to what |
-//! | [`c_header`] | the types for clients in C |
+//! | [`c_header`], [`relay`] | the types for clients in C, copies for other machines |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`source`] | where ping sets come from |
 //! | [`recording_file`], [`picture`], [`plot`], [`plot_layouts`] | files in, pictures out |
@@ -30,6 +30,7 @@ mod ports;
 mod probe;
 pub mod raw_topics;
 pub mod recording_file;
+pub mod relay;
 mod root;
 mod session;
 pub mod source;
@@ -48,6 +49,7 @@ pub use files::wipe;
 pub use node::Ipc;
 pub use params::IpcParams;
 pub use raw_topics::{LiveTopics, RawPublisher, RawRefusal, RawShape};
+pub use relay::Relay;
 pub use status_topics::StatusTopics;
 
 use std::hash::{BuildHasher, Hasher};

@@ -135,6 +135,14 @@ impl Ipc {
         &self.root
     }
 
+    /// The transport's configuration as its own tools read it from `config/iceoryx2.toml`.
+    ///
+    /// # Errors
+    /// [`IpcError::Internal`].
+    pub fn transport_toml(&self) -> Result<String, IpcError> {
+        toml::to_string(&self.config).map_err(|error| IpcError::Internal(error.to_string()))
+    }
+
     /// What every name of ours begins with.
     #[must_use]
     pub fn prefix(&self) -> &str {

@@ -7,7 +7,7 @@ use super::error::IpcError;
 use super::files;
 use super::node::{Ipc, Transport};
 use super::ports::{FixedPublisher, FixedSubscriber, SlicePublisher, SliceSubscriber};
-use super::topics::{NODES_MAX, SCHEMA_ATTRIBUTE, Topic};
+use super::topics::{SCHEMA_ATTRIBUTE, Topic};
 use super::watch::Calls;
 use super::wire::{WireType, force_remove_service};
 use iceoryx2::port::publisher::PublisherCreateError;
@@ -50,7 +50,7 @@ macro_rules! open_service {
         $builder
             .max_publishers($topic.qos.publishers_max)
             .max_subscribers($topic.qos.subscribers_max)
-            .max_nodes(NODES_MAX)
+            .max_nodes($topic.nodes_max())
             .subscriber_max_buffer_size($topic.qos.buffer)
             .subscriber_max_borrowed_samples($topic.qos.borrowed)
             .history_size($topic.qos.history)
@@ -220,7 +220,7 @@ impl<'a> Session<'a> {
         let layout = topic.header.unwrap_or(topic.payload);
         Failure::Retry(IpcError::Incompatible {
             service: topic.name.clone(),
-            found: self.describe_found(topic).unwrap_or_else(|| why.to_owned()),
+            found: self.describe_found(topic).map_or_else(|| why.to_owned(), |found| format!("{found} ({why})")),
             expected: describe(
                 &format!("{:016x}", topic.schema_hash()),
                 layout.type_name,
@@ -306,6 +306,9 @@ fn describe(schema: &str, type_name: &str, size: usize, publishers: usize, histo
 }
 
 fn schema_attribute(topic: &Topic) -> Result<AttributeVerifier, IpcError> {
+    if !topic.is_attributed() {
+        return Ok(AttributeVerifier::new());
+    }
     let invalid = |error: &dyn Debug| IpcError::Internal(format!("attribute of {}: {error:?}", topic.name));
     let key = SCHEMA_ATTRIBUTE.try_into().map_err(|error| invalid(&error))?;
     let value = format!("{:016x}", topic.schema_hash());

@@ -30,8 +30,13 @@ pub const HEALTH: &str = "noctule/health";
 /// Attribute of every service: the schema hash of its payload, or of its header where it has one, in 16 hex digits.
 pub const SCHEMA_ATTRIBUTE: &str = "noctule.schema";
 
+/// What the names of copies for other machines begin with, instead of `noctule/`.
+const RELAYED: &str = "noctule/relay/";
+
 /// Nodes that may open a service: the daemon, the controller and some thirty tools.
-pub(super) const NODES_MAX: usize = 32;
+const NODES_MAX: usize = 32;
+/// And one of a copy for other machines: the transport's default there.
+const RELAYED_NODES_MAX: usize = 20;
 /// Size of the transport's own header of a sample, with room for its growth within a cache line.
 const TRANSPORT_HEADER_BYTES: usize = 64;
 /// Management data of a publisher's memory, and of its connections, per sample of its pool.
@@ -259,6 +264,42 @@ impl Topic {
         topics
     }
 
+    /// The copy of this topic that is made for other machines ([`super::relay`]): room for a second publisher, the link's own.
+    #[must_use]
+    pub fn relayed(&self) -> Self {
+        let name = self.name.replacen("noctule/", RELAYED, 1);
+        // On the other machine the link makes the service with the transport's default limits: none here may be larger.
+        let qos = Qos { publishers_max: 2, buffer: self.qos.buffer.min(2), history: 0, ..self.qos };
+        Self { name, qos, route: "noctule relay to other machines", ..self.clone() }
+    }
+
+    /// The topic that a copy is of; its own name for all others.
+    #[must_use]
+    pub fn original_name(&self) -> String {
+        self.name.replacen(RELAYED, "noctule/", 1)
+    }
+
+    /// Whether its services carry the schema hash as an attribute. Those that the link makes on another machine carry none; the hash in
+    /// every sample stays.
+    #[must_use]
+    pub fn is_attributed(&self) -> bool {
+        !self.name.starts_with(RELAYED)
+    }
+
+    /// Nodes that may open its service.
+    #[must_use]
+    pub(super) fn nodes_max(&self) -> usize {
+        if self.is_attributed() { NODES_MAX } else { RELAYED_NODES_MAX }
+    }
+
+    /// The copies that [`super::relay`] makes.
+    #[must_use]
+    pub fn all_relayed(sensors: &[String]) -> Vec<Topic> {
+        let images = sensors.iter().map(|sensor| Topic::energyscape(sensor));
+        let all = images.chain([Topic::cues(), Topic::command(), Topic::platform(), Topic::health()]);
+        all.map(|topic| topic.relayed()).collect()
+    }
+
     /// The hash that stands in the service's attributes: of the header, else of the payload.
     #[must_use]
     pub fn schema_hash(&self) -> u64 {
@@ -301,12 +342,22 @@ impl Topic {
 /// What `noctule topics --json` writes.
 #[must_use]
 pub fn topics_json(params: &IpcParams, sensors: &[String], format: SampleFormat) -> Value {
+    listed_json(params, &Topic::all(sensors, format), format)
+}
+
+/// The same of the copies that `noctule relay` makes: what a client on another machine needs.
+#[must_use]
+pub fn relayed_json(params: &IpcParams, sensors: &[String], format: SampleFormat) -> Value {
+    listed_json(params, &Topic::all_relayed(sensors), format)
+}
+
+fn listed_json(params: &IpcParams, topics: &[Topic], format: SampleFormat) -> Value {
     json!({
         "root": params.root_path(),
         "prefix": params.prefix,
         "schema_attribute": SCHEMA_ATTRIBUTE,
         "raw_format": format_name(super::wire::message::format_number(format)),
-        "services": Topic::all(sensors, format).iter().map(Topic::json).collect::<Vec<_>>(),
+        "services": topics.iter().map(Topic::json).collect::<Vec<_>>(),
     })
 }
 

@@ -6,6 +6,7 @@
 
 use std::fmt::Display;
 use std::io::Write as _;
+use std::sync::atomic::{AtomicI32, Ordering};
 
 /// Share of the trials that a plain run makes.
 const SHARE: usize = 30;
@@ -43,4 +44,17 @@ pub fn figure(number: u8, what: &str, found: impl Display, bar: &str, trials: us
     // One write call a line: test processes may append side by side.
     let written = file.and_then(|mut file| file.write_all(format!("{line}\n").as_bytes()));
     written.unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+}
+
+static TEST_THREAD: AtomicI32 = AtomicI32::new(0);
+
+/// Says that this thread runs the test, wherever the test runner put it.
+pub fn is_the_test() {
+    TEST_THREAD.store(rustix::thread::gettid().as_raw_nonzero().get(), Ordering::Relaxed);
+}
+
+/// Whether this thread is the test runner's own: it tells of tests that take more than a minute, and allocates for it. Allocates nothing.
+pub fn is_the_test_runner() -> bool {
+    let thread = rustix::thread::gettid();
+    thread == rustix::process::getpid() && thread.as_raw_nonzero().get() != TEST_THREAD.load(Ordering::Relaxed)
 }
