@@ -1,9 +1,11 @@
 //! The command line as it may be typed (specification, section 11).
 
 mod detect;
+mod record;
 mod simulate;
 
 pub use detect::{DetectArguments, DetectorArgument};
+pub use record::{RecordArguments, RecordingArguments, ReplayArguments};
 pub use simulate::{ConditionArguments, SimulateArguments};
 
 use super::bench::Case;
@@ -49,6 +51,10 @@ pub enum Command {
     Reset(OperatorArguments),
     /// Remove what stopped processes left in shared memory; after exit code 75 this is the supervisor's.
     Wipe(OperatorArguments),
+    /// Record what passes on the topics to an MCAP file.
+    Record(RecordArguments),
+    /// Run a recording again, as fast as the machine can, and compare.
+    Replay(ReplayArguments),
     /// Image recordings into NumPy files.
     Process(ProcessArguments),
     /// Drive simulated robots through a world and score them; rank sensor layouts.
@@ -134,7 +140,8 @@ pub struct DemoArguments {
 #[command(after_help = "Examples:
   noctule run                                              simulated robot, default world
   noctule run --config robot.toml --source live            raw pings from drivers
-  noctule run --config robot.toml --source replay:a.npy    a recording, at the pace it was made")]
+  noctule run --config robot.toml --source replay:a.npy    a recording, at the pace it was made
+  noctule run --record day1.mcap --record-budget-mib 8192  recorded; the newest 8 GiB are kept")]
 pub struct RunArguments {
     #[command(flatten)]
     pub choice: ConfigChoice,
@@ -150,6 +157,8 @@ pub struct RunArguments {
     /// Seed of the simulator's noise and start position.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    #[command(flatten)]
+    pub record: RecordingArguments,
 }
 
 /// `controller`.
