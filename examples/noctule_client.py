@@ -96,6 +96,7 @@ def structure(described):
         raise Failure(65, f"{name} has {ctypes.sizeof(made)} bytes here, {described['size']} in noctule")
     # Types of one name and size may still differ in the order of their fields; the hash of the layout tells them apart.
     made.schema_hash_here = described["schema_hash"]
+    made.words = {f["name"]: {int(number): word for number, word in f.get("values", {}).items()} for f in fields}
     return made
 
 
@@ -141,30 +142,12 @@ class Ping:
         return (time.clock_gettime_ns(BOOTTIME) - self.header.t_monotonic_ns) / 1e6
 
 
-class Energyscapes:
-    """A subscription to the energyscapes of one sensor, by default of the first."""
+class Connection:
+    """A port of one topic. Node and service are kept, since the connection ends with them."""
 
-    def __init__(self, topics, sensor=None, timeout_s=5.0):
-        self.root, self.prefix, services = topics
-        names = [
-            name.split("/")[2]
-            for name in services
-            if name.startswith("noctule/sonar/") and name.endswith("/energyscape")
-        ]
-        self.sensor = sensor or (names[0] if names else None)
-        if self.sensor not in names:
-            raise Failure(2, f"no energyscape of sensor {self.sensor!r}; sensors are: {', '.join(names) or 'none'}")
-        self.name = f"noctule/sonar/{self.sensor}/energyscape"
-        try:
-            self.header_type = structure(services[self.name]["header"])
-            self.cell_type = C_TYPES[services[self.name]["payload"]["type_name"]]
-        except (KeyError, TypeError) as error:
-            raise Failure(65, f"{self.name}: unexpected description: {error!r}") from error
-        self.sequence = None
-        self.connect(timeout_s)
-
-    def connect(self, timeout_s):
-        """Waits until the service is there. Node and service are kept, since the connection ends with them."""
+    def __init__(self, topics, name, timeout_s):
+        self.root, self.prefix, self.services = topics
+        self.name = name
         deadline = time.monotonic() + timeout_s
         config = iox2.config.default()  # Explicit: otherwise an iceoryx2.toml lying around could lead us elsewhere.
         config.global_cfg.root_path = iox2.Path.new(self.root)
@@ -178,15 +161,15 @@ class Energyscapes:
                         self.node = node.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(
                             iox2.ServiceType.Ipc
                         )
-                        service = self.node.service_builder(iox2.ServiceName.new(self.name))
-                        service = service.publish_subscribe(iox2.Slice[self.cell_type]).user_header(self.header_type)
-                        self.service = service.open()  # Not open_or_create: a guest makes no services.
-                        self.subscriber = self.service.subscriber_builder().create()
+                        # open(), not open_or_create(): a guest makes no services.
+                        self.service = self.typed(self.node.service_builder(iox2.ServiceName.new(self.name))).open()
+                        self.port = self.make_port()
                         return
                     except (
                         iox2.NodeCreationFailure,
                         iox2.PublishSubscribeOpenError,
                         iox2.SubscriberCreateError,
+                        iox2.PublisherCreateError,
                     ) as error:
                         trouble = str(error)
             if trouble == "IncompatibleTypes":
@@ -196,6 +179,106 @@ class Energyscapes:
                     69, f"{self.name} is not published ({trouble}); is noctule running with this configuration?"
                 )
             time.sleep(0.05)
+
+    def described(self, part):
+        """The type of a topic's header or payload as `noctule topics --json` describes it."""
+        try:
+            return self.services[self.name][part]
+        except (KeyError, TypeError) as error:
+            raise Failure(65, f"{self.name}: unexpected description: {error!r}") from error
+
+    def make_port(self):
+        return self.service.subscriber_builder().create()
+
+    def samples(self):
+        """What waits, oldest first; each is given back when the next one is asked for."""
+        for _ in range(64):  # More than any buffer holds; a limit, so that a fast sender cannot keep us here.
+            try:
+                sample = self.port.receive()
+            except iox2.ReceiveError as error:
+                raise Failure(69, f"{self.name}: cannot receive ({error})") from error
+            if sample is None:
+                return
+            try:
+                yield sample
+            finally:
+                sample.delete()
+
+
+class Reports(Connection):
+    """A subscription to a topic of single samples: noctule/command, /platform, /cues, /health."""
+
+    def __init__(self, topics, name, timeout_s=5.0):
+        self.services, self.name = topics[2], name
+        self.type = structure(self.described("payload"))
+        super().__init__(topics, name, timeout_s)
+
+    def typed(self, builder):
+        return builder.publish_subscribe(self.type)
+
+    def word(self, report, field):
+        """The name of a number: of a state, a reason, a layer."""
+        number = getattr(report, field)
+        return self.type.words[field].get(number, str(number))
+
+    def newest(self):
+        """A copy of the newest sample since the last call, or None. Judge it by its stamp, never by its arrival."""
+        newest = None
+        for sample in self.samples():
+            report = self.type.from_buffer_copy(sample.payload().contents)
+            if report.schema_hash == self.type.schema_hash_here:
+                newest = report
+        return newest
+
+
+class Inputs(Connection):
+    """Asks for velocities on noctule/input. noctule decides: what is near, stale or unseen still stops the robot."""
+
+    def __init__(self, topics, timeout_s=5.0):
+        self.services, self.name, self.sequence = topics[2], "noctule/input", 0
+        self.type = structure(self.described("payload"))
+        super().__init__(topics, self.name, timeout_s)
+
+    def typed(self, builder):
+        return builder.publish_subscribe(self.type)
+
+    def make_port(self):
+        return self.service.publisher_builder().create()
+
+    def send(self, linear_m_s, angular_rad_s):
+        """Valid for half a second: to be called at least twice a second."""
+        self.sequence += 1
+        wanted = self.type(
+            schema_hash=self.type.schema_hash_here,
+            sequence=self.sequence,
+            t_monotonic_ns=time.clock_gettime_ns(BOOTTIME),
+            t_wall_ns=time.time_ns(),
+            linear_m_s=linear_m_s,
+            angular_rad_s=angular_rad_s,
+        )
+        self.port.send_copy(wanted)
+
+
+class Energyscapes(Connection):
+    """A subscription to the energyscapes of one sensor, by default of the first."""
+
+    def __init__(self, topics, sensor=None, timeout_s=5.0):
+        names = [
+            name.split("/")[2]
+            for name in topics[2]
+            if name.startswith("noctule/sonar/") and name.endswith("/energyscape")
+        ]
+        self.sensor = sensor or (names[0] if names else None)
+        if self.sensor not in names:
+            raise Failure(2, f"no energyscape of sensor {self.sensor!r}; sensors are: {', '.join(names) or 'none'}")
+        self.services, self.name = topics[2], f"noctule/sonar/{self.sensor}/energyscape"
+        self.header_type = structure(self.described("header"))
+        self.cell_type = C_TYPES[self.described("payload")["type_name"]]
+        self.sequence = None
+        super().__init__(topics, self.name, timeout_s)
+
+    def typed(self, builder):
+        return builder.publish_subscribe(iox2.Slice[self.cell_type]).user_header(self.header_type)
 
     def copy(self, sample):
         """The ping in a sample. A copy, because noctule writes later pings where this one lies."""
@@ -216,17 +299,8 @@ class Energyscapes:
     def newest(self):
         """The newest ping, or None when none came since the last call. Older ones are let go."""
         best = None
-        for _ in range(64):  # More than any buffer holds; a limit, so that a fast sender cannot keep us here.
-            try:
-                sample = self.subscriber.receive()
-            except iox2.ReceiveError as error:
-                raise Failure(69, f"{self.name}: cannot receive ({error})") from error
-            if sample is None:
-                break
-            try:
-                ping = self.copy(sample)
-            finally:
-                sample.delete()
+        for sample in self.samples():
+            ping = self.copy(sample)
             # By time of emission: what a publisher left behind when it died can come after newer pings.
             if best is None or ping.header.t_monotonic_ns > best.header.t_monotonic_ns:
                 best = ping

@@ -320,6 +320,9 @@ pub struct TopicsArguments {
     /// Print one JSON object instead of the tables.
     #[arg(long)]
     pub json: bool,
+    /// Print the types as a C header.
+    #[arg(long, conflicts_with = "json")]
+    pub c_header: bool,
 }
 
 /// `echo`.

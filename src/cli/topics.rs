@@ -5,6 +5,7 @@ use super::args::{EchoArguments, TopicsArguments};
 use super::output::{is_printed, print_line};
 use super::run::{ipc_failure, prefer_pcm, stop_flag};
 use crate::io::Ipc;
+use crate::io::c_header::c_header;
 use crate::io::echo::{Echo, EchoLimit};
 use crate::io::topics::{topics_json, topics_table};
 use std::time::Duration;
@@ -14,6 +15,9 @@ use std::time::Duration;
 /// # Errors
 /// Exit 78.
 pub fn topics(arguments: &TopicsArguments) -> Result<(), Failure> {
+    if arguments.c_header {
+        return print_line(c_header().trim_end());
+    }
     let config = super::config::load(&arguments.choice)?;
     let sensors: Vec<String> = config.sensor.iter().map(|sensor| sensor.name.clone()).collect();
     let format = config.recording.format;

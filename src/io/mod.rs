@@ -6,17 +6,20 @@
 //! | [`wire`] | the types on them |
 //! | [`node`], `session`, `ports`, `watch` | set-up, ports, a way out of a hang |
 //! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
-//! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`] | who publishes and listens to what |
+//! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`energyscape_reader`] | who publishes and listens to what |
+//! | [`c_header`] | the types for clients in C |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`record`] | a run to MCAP and back |
 //! | [`ros`] | our nouns as ROS 2 messages |
 //! | [`source`] | where ping sets come from |
 //! | [`recording_file`], [`picture`], [`plot`], [`plot_layouts`] | files in, pictures out |
 
+pub mod c_header;
 mod canvas;
 pub mod clients;
 pub mod daemon_topics;
 pub mod echo;
+pub mod energyscape_reader;
 pub mod error;
 mod files;
 pub mod node;
@@ -43,6 +46,7 @@ pub use canvas::encode_png;
 pub use clients::{ControllerTopics, InputPublisher, OperatorClient, PlatformSubscriber};
 pub use daemon_topics::{DaemonTopics, LastWord};
 pub use echo::{Echo, EchoLimit};
+pub use energyscape_reader::EnergyscapeReader;
 pub use error::IpcError;
 pub use files::wipe;
 pub use node::Ipc;

@@ -1,0 +1,346 @@
+/* noctule's wire types. Made by `noctule topics --c-header`: do not edit.
+ * SI units, radians; robot frame x forward, y left, angles counter-clockwise; t_..._ns of CLOCK_BOOTTIME. */
+#ifndef NOCTULE_TYPES_H
+#define NOCTULE_TYPES_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+#define NOCTULE_ASSERT(truth, what) static_assert(truth, what)
+#else
+#define NOCTULE_ASSERT(truth, what) _Static_assert(truth, what)
+#endif
+
+/* Bit of an energyscape's flags: first direction and step tell all directions. */
+#define NOCTULE_FLAG_EQUAL_DIRECTIONS 1u
+
+#define NOCTULE_CUES_V1_TYPE_NAME "noctule.Cues.v1"
+#define NOCTULE_CUES_V1_SCHEMA_HASH UINT64_C(0xecb8e520460974d6)
+struct noctule_cues_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* Sequence of the ping set. */
+    uint64_t t_monotonic_ns; /* Oldest emission of the set, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    double wall_lateral_m[8]; /* Lateral distance of each wall from the robot's x axis, left positive. */
+    double wall_strength[8]; /* Gamma of each wall, strongest first. */
+    double coverage_ahead_m; /* Seen length of way ahead of the footprint. */
+    double coverage_behind_m; /* Seen length of way behind the footprint. */
+    double nearest_range_m[3]; /* Range of each layer's nearest reflection from its sensor. */
+    double nearest_bearing_rad[3]; /* Its bearing. */
+    double nearest_distance_m[3]; /* Its distance from the robot's footprint. */
+    float nearest_energy[3]; /* Its energy. */
+    float nearest_side[3]; /* +1 left, -1 right, 0 both or none. */
+    uint32_t nearest_sensor[3]; /* Sensor that heard it; 4294967295 for none. */
+    float energy[3]; /* Sum of E|M| of each layer. */
+    float turn[3]; /* Sum of E M / r^2 of each layer. */
+    float peak[3]; /* Largest E|M| of each layer. */
+    float threshold[3]; /* What triggers each layer. */
+    float sensor_energy[9]; /* Sum of E|M|, by layer and sensor. */
+    float sensor_turn[9]; /* Sum of E M / r^2, by layer and sensor. */
+    float sensor_peak[9]; /* Largest E|M|, by layer and sensor. */
+    float wall_threshold_single; /* What one wall has to exceed. */
+    float wall_threshold_corridor; /* What two walls have to exceed. */
+    uint32_t wall_count; /* Number of walls. */
+    uint32_t sensors_used; /* Bit k is set when sensor k went in. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_cues_v1) == 456, "size of noctule.Cues.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, schema_hash) == 0, "noctule.Cues.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, sequence) == 8, "noctule.Cues.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, t_monotonic_ns) == 16, "noctule.Cues.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, t_wall_ns) == 24, "noctule.Cues.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, wall_lateral_m) == 32, "noctule.Cues.v1.wall_lateral_m");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, wall_strength) == 96, "noctule.Cues.v1.wall_strength");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, coverage_ahead_m) == 160, "noctule.Cues.v1.coverage_ahead_m");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, coverage_behind_m) == 168, "noctule.Cues.v1.coverage_behind_m");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, nearest_range_m) == 176, "noctule.Cues.v1.nearest_range_m");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, nearest_bearing_rad) == 200, "noctule.Cues.v1.nearest_bearing_rad");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, nearest_distance_m) == 224, "noctule.Cues.v1.nearest_distance_m");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, nearest_energy) == 248, "noctule.Cues.v1.nearest_energy");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, nearest_side) == 260, "noctule.Cues.v1.nearest_side");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, nearest_sensor) == 272, "noctule.Cues.v1.nearest_sensor");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, energy) == 284, "noctule.Cues.v1.energy");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, turn) == 296, "noctule.Cues.v1.turn");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, peak) == 308, "noctule.Cues.v1.peak");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, threshold) == 320, "noctule.Cues.v1.threshold");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, sensor_energy) == 332, "noctule.Cues.v1.sensor_energy");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, sensor_turn) == 368, "noctule.Cues.v1.sensor_turn");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, sensor_peak) == 404, "noctule.Cues.v1.sensor_peak");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, wall_threshold_single) == 440, "noctule.Cues.v1.wall_threshold_single");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, wall_threshold_corridor) == 444, "noctule.Cues.v1.wall_threshold_corridor");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, wall_count) == 448, "noctule.Cues.v1.wall_count");
+NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, sensors_used) == 452, "noctule.Cues.v1.sensors_used");
+
+#define NOCTULE_ENERGYSCAPE_HEADER_V1_TYPE_NAME "noctule.EnergyscapeHeader.v1"
+#define NOCTULE_ENERGYSCAPE_HEADER_V1_SCHEMA_HASH UINT64_C(0x3cbba540b4fee0ab)
+struct noctule_energyscape_header_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* Sequence of the raw ping. */
+    uint64_t t_monotonic_ns; /* Emission: time of sample 0 of the raw ping, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    uint64_t t_completed_ns; /* When the image was complete, CLOCK_BOOTTIME. */
+    double direction_first_rad; /* First direction, 0 on boresight, positive to the left (flag 1). */
+    double direction_step_rad; /* Step between directions (flag 1). */
+    double range_first_m; /* Range of the first bin. */
+    double range_step_m; /* Step between bins. */
+    double speed_of_sound_m_s; /* Speed of sound that the ranges were computed with. */
+    uint32_t version; /* Version of the header: 1. */
+    uint32_t sensor_index; /* Index of the sensor in the configuration. */
+    uint32_t direction_count; /* Rows. */
+    uint32_t range_count; /* Columns. */
+    uint32_t backend; /* 0 CPU, 1 GPU. */
+    uint32_t flags; /* 1 equally spaced directions, 2 channels left out, 4 the CPU redid what the GPU failed to do. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_energyscape_header_v1) == 104, "size of noctule.EnergyscapeHeader.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, schema_hash) == 0, "noctule.EnergyscapeHeader.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, sequence) == 8, "noctule.EnergyscapeHeader.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, t_monotonic_ns) == 16, "noctule.EnergyscapeHeader.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, t_wall_ns) == 24, "noctule.EnergyscapeHeader.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, t_completed_ns) == 32, "noctule.EnergyscapeHeader.v1.t_completed_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, direction_first_rad) == 40, "noctule.EnergyscapeHeader.v1.direction_first_rad");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, direction_step_rad) == 48, "noctule.EnergyscapeHeader.v1.direction_step_rad");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, range_first_m) == 56, "noctule.EnergyscapeHeader.v1.range_first_m");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, range_step_m) == 64, "noctule.EnergyscapeHeader.v1.range_step_m");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, speed_of_sound_m_s) == 72, "noctule.EnergyscapeHeader.v1.speed_of_sound_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, version) == 80, "noctule.EnergyscapeHeader.v1.version");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, sensor_index) == 84, "noctule.EnergyscapeHeader.v1.sensor_index");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, direction_count) == 88, "noctule.EnergyscapeHeader.v1.direction_count");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, range_count) == 92, "noctule.EnergyscapeHeader.v1.range_count");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, backend) == 96, "noctule.EnergyscapeHeader.v1.backend");
+NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, flags) == 100, "noctule.EnergyscapeHeader.v1.flags");
+
+#define NOCTULE_HEALTH_V1_TYPE_NAME "noctule.Health.v1"
+#define NOCTULE_HEALTH_V1_SCHEMA_HASH UINT64_C(0x33375f6bb8212b7f)
+struct noctule_health_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t epoch; /* Random number of this start of the daemon: what an arm request carries. */
+    uint64_t t_monotonic_ns; /* When it was sent, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    uint64_t ping_set_count; /* Ping sets imaged. */
+    uint64_t command_count; /* Commands published. */
+    uint64_t dropped_count; /* Ping sets dropped because newer ones were there. */
+    uint64_t late_count; /* Ping sets not ready in time. */
+    uint64_t gpu_loss_count; /* GPU losses since the start. */
+    uint64_t stop_count; /* Stops since the start. */
+    uint64_t rejected_count[3]; /* Pings rejected, by sensor. */
+    uint64_t gap_count[3]; /* Missing sequence numbers, by sensor. */
+    uint64_t desync_ns; /* Spread of the emission times of the newest set. */
+    double latency_ms; /* Newest set, last sample to command published. */
+    double latency_p50_ms; /* Median of it since the start. */
+    double latency_p99_ms; /* 99th percentile of it since the start. */
+    double latency_max_ms; /* Largest since the start. */
+    double stage_ms[5]; /* Newest set: demodulate, matched filter, delay and sum, envelope, masked energy. */
+    uint32_t bad_channel_count[3]; /* Channels left out, by sensor. */
+    uint32_t sensors_present; /* Bit k is set when sensor k delivered in the newest set. */
+    uint32_t state; /* State of the daemon. */
+    uint32_t reason; /* Why it is in that state. */
+    uint32_t backend; /* 0 CPU, 1 GPU. */
+    uint32_t recording; /* Recording of the run: 0 off, 1 recording, 2 finished, 3 disk full, 4 disk failed. */
+    uint8_t adapter[64]; /* Adapter or instruction set that images, UTF-8, filled up with zeros. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_health_v1) == 304, "size of noctule.Health.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, schema_hash) == 0, "noctule.Health.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, epoch) == 8, "noctule.Health.v1.epoch");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, t_monotonic_ns) == 16, "noctule.Health.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, t_wall_ns) == 24, "noctule.Health.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, ping_set_count) == 32, "noctule.Health.v1.ping_set_count");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, command_count) == 40, "noctule.Health.v1.command_count");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, dropped_count) == 48, "noctule.Health.v1.dropped_count");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, late_count) == 56, "noctule.Health.v1.late_count");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, gpu_loss_count) == 64, "noctule.Health.v1.gpu_loss_count");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, stop_count) == 72, "noctule.Health.v1.stop_count");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, rejected_count) == 80, "noctule.Health.v1.rejected_count");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, gap_count) == 104, "noctule.Health.v1.gap_count");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, desync_ns) == 128, "noctule.Health.v1.desync_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, latency_ms) == 136, "noctule.Health.v1.latency_ms");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, latency_p50_ms) == 144, "noctule.Health.v1.latency_p50_ms");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, latency_p99_ms) == 152, "noctule.Health.v1.latency_p99_ms");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, latency_max_ms) == 160, "noctule.Health.v1.latency_max_ms");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, stage_ms) == 168, "noctule.Health.v1.stage_ms");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, bad_channel_count) == 208, "noctule.Health.v1.bad_channel_count");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, sensors_present) == 220, "noctule.Health.v1.sensors_present");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, state) == 224, "noctule.Health.v1.state");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, reason) == 228, "noctule.Health.v1.reason");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, backend) == 232, "noctule.Health.v1.backend");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, recording) == 236, "noctule.Health.v1.recording");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, adapter) == 240, "noctule.Health.v1.adapter");
+
+#define NOCTULE_ODOMETRY_V1_TYPE_NAME "noctule.Odometry.v1"
+#define NOCTULE_ODOMETRY_V1_SCHEMA_HASH UINT64_C(0x7e1fec961aa148f9)
+struct noctule_odometry_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* Running number of the sender. */
+    uint64_t t_monotonic_ns; /* When it was measured, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    double x_m; /* Position in the odometry frame. */
+    double y_m; /* Position in the odometry frame. */
+    double heading_rad; /* Heading, counter-clockwise. */
+    double linear_m_s; /* Forward speed. */
+    double angular_rad_s; /* Turn rate, counter-clockwise. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_odometry_v1) == 72, "size of noctule.Odometry.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_odometry_v1, schema_hash) == 0, "noctule.Odometry.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_odometry_v1, sequence) == 8, "noctule.Odometry.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_odometry_v1, t_monotonic_ns) == 16, "noctule.Odometry.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_odometry_v1, t_wall_ns) == 24, "noctule.Odometry.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_odometry_v1, x_m) == 32, "noctule.Odometry.v1.x_m");
+NOCTULE_ASSERT(offsetof(struct noctule_odometry_v1, y_m) == 40, "noctule.Odometry.v1.y_m");
+NOCTULE_ASSERT(offsetof(struct noctule_odometry_v1, heading_rad) == 48, "noctule.Odometry.v1.heading_rad");
+NOCTULE_ASSERT(offsetof(struct noctule_odometry_v1, linear_m_s) == 56, "noctule.Odometry.v1.linear_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_odometry_v1, angular_rad_s) == 64, "noctule.Odometry.v1.angular_rad_s");
+
+#define NOCTULE_OPERATOR_REQUEST_V1_TYPE_NAME "noctule.OperatorRequest.v1"
+#define NOCTULE_OPERATOR_REQUEST_V1_SCHEMA_HASH UINT64_C(0xec5209bc3b27c482)
+struct noctule_operator_request_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t epoch; /* Epoch of the daemon to be armed; read for arm only. */
+    uint64_t sequence; /* Running number of the sender. */
+    uint64_t t_monotonic_ns; /* When it was asked for, CLOCK_BOOTTIME; an arm request is obeyed for one second. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    uint32_t request; /* 1 arm, 2 stop, 3 reset. */
+    uint32_t checksum; /* CRC-32 (IEEE) of all bytes before it. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_operator_request_v1) == 48, "size of noctule.OperatorRequest.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_operator_request_v1, schema_hash) == 0, "noctule.OperatorRequest.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_operator_request_v1, epoch) == 8, "noctule.OperatorRequest.v1.epoch");
+NOCTULE_ASSERT(offsetof(struct noctule_operator_request_v1, sequence) == 16, "noctule.OperatorRequest.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_operator_request_v1, t_monotonic_ns) == 24, "noctule.OperatorRequest.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_operator_request_v1, t_wall_ns) == 32, "noctule.OperatorRequest.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_operator_request_v1, request) == 40, "noctule.OperatorRequest.v1.request");
+NOCTULE_ASSERT(offsetof(struct noctule_operator_request_v1, checksum) == 44, "noctule.OperatorRequest.v1.checksum");
+
+#define NOCTULE_PLATFORM_VELOCITY_V1_TYPE_NAME "noctule.PlatformVelocity.v1"
+#define NOCTULE_PLATFORM_VELOCITY_V1_SCHEMA_HASH UINT64_C(0x00a173b4f9f368da)
+struct noctule_platform_velocity_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* Running number of the tick. */
+    uint64_t t_monotonic_ns; /* When it was sent, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    double linear_m_s; /* Forward speed to drive. */
+    double angular_rad_s; /* Turn rate to drive, counter-clockwise. */
+    uint64_t epoch; /* Epoch that is armed; 0 for none. */
+    uint64_t command_sequence; /* Sequence of the newest command received. */
+    uint64_t command_t_monotonic_ns; /* Oldest emission that the newest command was made from, CLOCK_BOOTTIME. */
+    uint64_t command_received_ns; /* When the newest command was received, CLOCK_BOOTTIME. */
+    uint64_t received_count; /* Commands received since the start. */
+    uint64_t accepted_count; /* Commands followed since the start. */
+    uint64_t refused_count; /* Commands refused since the start. */
+    uint32_t state; /* State of the controller. */
+    uint32_t reason; /* Why it is in that state. */
+    uint32_t daemon_state; /* State of the daemon in the newest command. */
+    uint32_t daemon_reason; /* Why the daemon is in that state. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_platform_velocity_v1) == 120, "size of noctule.PlatformVelocity.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, schema_hash) == 0, "noctule.PlatformVelocity.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, sequence) == 8, "noctule.PlatformVelocity.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, t_monotonic_ns) == 16, "noctule.PlatformVelocity.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, t_wall_ns) == 24, "noctule.PlatformVelocity.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, linear_m_s) == 32, "noctule.PlatformVelocity.v1.linear_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, angular_rad_s) == 40, "noctule.PlatformVelocity.v1.angular_rad_s");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, epoch) == 48, "noctule.PlatformVelocity.v1.epoch");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, command_sequence) == 56, "noctule.PlatformVelocity.v1.command_sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, command_t_monotonic_ns) == 64, "noctule.PlatformVelocity.v1.command_t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, command_received_ns) == 72, "noctule.PlatformVelocity.v1.command_received_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, received_count) == 80, "noctule.PlatformVelocity.v1.received_count");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, accepted_count) == 88, "noctule.PlatformVelocity.v1.accepted_count");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, refused_count) == 96, "noctule.PlatformVelocity.v1.refused_count");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, state) == 104, "noctule.PlatformVelocity.v1.state");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, reason) == 108, "noctule.PlatformVelocity.v1.reason");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, daemon_state) == 112, "noctule.PlatformVelocity.v1.daemon_state");
+NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, daemon_reason) == 116, "noctule.PlatformVelocity.v1.daemon_reason");
+
+#define NOCTULE_RAW_HEADER_V1_TYPE_NAME "noctule.RawHeader.v1"
+#define NOCTULE_RAW_HEADER_V1_SCHEMA_HASH UINT64_C(0xb100f6234927807a)
+struct noctule_raw_header_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* The sensor's own running number. */
+    uint64_t t_monotonic_ns; /* Emission: time of sample 0, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    double sample_rate_hz; /* Rate of PDM words or PCM samples. */
+    uint32_t version; /* Version of the header: 1. */
+    uint32_t sensor_index; /* Index of the sensor in the configuration. */
+    uint32_t channel_count; /* Microphones. */
+    uint32_t sample_count; /* PDM words, or PCM samples of one microphone. */
+    uint32_t format; /* 0 PDM words, 1 PCM i16, 2 PCM f32. */
+    uint32_t flags; /* None yet: 0. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_raw_header_v1) == 64, "size of noctule.RawHeader.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, schema_hash) == 0, "noctule.RawHeader.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, sequence) == 8, "noctule.RawHeader.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, t_monotonic_ns) == 16, "noctule.RawHeader.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, t_wall_ns) == 24, "noctule.RawHeader.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, sample_rate_hz) == 32, "noctule.RawHeader.v1.sample_rate_hz");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, version) == 40, "noctule.RawHeader.v1.version");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, sensor_index) == 44, "noctule.RawHeader.v1.sensor_index");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, channel_count) == 48, "noctule.RawHeader.v1.channel_count");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, sample_count) == 52, "noctule.RawHeader.v1.sample_count");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, format) == 56, "noctule.RawHeader.v1.format");
+NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, flags) == 60, "noctule.RawHeader.v1.flags");
+
+#define NOCTULE_VELOCITY_COMMAND_V1_TYPE_NAME "noctule.VelocityCommand.v1"
+#define NOCTULE_VELOCITY_COMMAND_V1_SCHEMA_HASH UINT64_C(0x8c9d9fc34938a255)
+struct noctule_velocity_command_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t epoch; /* Random number of this start of the daemon. */
+    uint64_t publisher_id; /* Random number of this publisher. */
+    uint64_t sequence; /* Running number within the epoch. */
+    uint64_t t_monotonic_ns; /* Oldest emission that it was made from, CLOCK_BOOTTIME: what its age is judged by. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    uint64_t t_published_ns; /* When it was published, CLOCK_BOOTTIME. */
+    uint64_t valid_until_ns; /* Not to be followed later than this, CLOCK_BOOTTIME; MAX_AGE holds besides. */
+    double linear_m_s; /* Forward speed V. */
+    double angular_rad_s; /* Turn rate omega, counter-clockwise. */
+    double speed_limit_m_s; /* Highest forward speed that the seen way allows. */
+    double cause_range_m; /* Range of the reflection behind the decision. */
+    double cause_bearing_rad; /* Its bearing from the sensor. */
+    double cause_energy; /* What was compared with the threshold. */
+    double cause_threshold; /* The threshold. */
+    uint32_t cause_sensor; /* Sensor that heard it; 4294967295 for none. */
+    uint32_t layer; /* Layer that decided. */
+    uint32_t state; /* State of the daemon. */
+    uint32_t reason; /* Why it is in that state. */
+    uint32_t stuck; /* 1 when there is no progress although motion is asked for. */
+    uint32_t checksum; /* CRC-32 (IEEE) of all bytes before it. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_velocity_command_v1) == 144, "size of noctule.VelocityCommand.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, schema_hash) == 0, "noctule.VelocityCommand.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, epoch) == 8, "noctule.VelocityCommand.v1.epoch");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, publisher_id) == 16, "noctule.VelocityCommand.v1.publisher_id");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, sequence) == 24, "noctule.VelocityCommand.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, t_monotonic_ns) == 32, "noctule.VelocityCommand.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, t_wall_ns) == 40, "noctule.VelocityCommand.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, t_published_ns) == 48, "noctule.VelocityCommand.v1.t_published_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, valid_until_ns) == 56, "noctule.VelocityCommand.v1.valid_until_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, linear_m_s) == 64, "noctule.VelocityCommand.v1.linear_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, angular_rad_s) == 72, "noctule.VelocityCommand.v1.angular_rad_s");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, speed_limit_m_s) == 80, "noctule.VelocityCommand.v1.speed_limit_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, cause_range_m) == 88, "noctule.VelocityCommand.v1.cause_range_m");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, cause_bearing_rad) == 96, "noctule.VelocityCommand.v1.cause_bearing_rad");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, cause_energy) == 104, "noctule.VelocityCommand.v1.cause_energy");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, cause_threshold) == 112, "noctule.VelocityCommand.v1.cause_threshold");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, cause_sensor) == 120, "noctule.VelocityCommand.v1.cause_sensor");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, layer) == 124, "noctule.VelocityCommand.v1.layer");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, state) == 128, "noctule.VelocityCommand.v1.state");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, reason) == 132, "noctule.VelocityCommand.v1.reason");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, stuck) == 136, "noctule.VelocityCommand.v1.stuck");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_command_v1, checksum) == 140, "noctule.VelocityCommand.v1.checksum");
+
+#define NOCTULE_VELOCITY_INPUT_V1_TYPE_NAME "noctule.VelocityInput.v1"
+#define NOCTULE_VELOCITY_INPUT_V1_SCHEMA_HASH UINT64_C(0x2d433eeda3219ce3)
+struct noctule_velocity_input_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* Running number of the sender. */
+    uint64_t t_monotonic_ns; /* When it was wanted, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    double linear_m_s; /* Forward speed. */
+    double angular_rad_s; /* Turn rate, counter-clockwise. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_velocity_input_v1) == 48, "size of noctule.VelocityInput.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_input_v1, schema_hash) == 0, "noctule.VelocityInput.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_input_v1, sequence) == 8, "noctule.VelocityInput.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_input_v1, t_monotonic_ns) == 16, "noctule.VelocityInput.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_input_v1, t_wall_ns) == 24, "noctule.VelocityInput.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_input_v1, linear_m_s) == 32, "noctule.VelocityInput.v1.linear_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_velocity_input_v1, angular_rad_s) == 40, "noctule.VelocityInput.v1.angular_rad_s");
+
+#endif
