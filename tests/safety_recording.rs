@@ -44,8 +44,8 @@ impl Robot {
     }
 
     fn daemon(&self, record: &Path, more: &[&str]) -> Child {
-        let mut command = self.command(&["run", "--backend", "cpu", "--record"]);
-        command.arg(record).args(more).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut command = self.command(&["run", "--backend", "cpu"]);
+        command.arg("--record").arg(record).args(more).stdout(Stdio::null()).stderr(Stdio::piped());
         command.spawn().expect("started")
     }
 
@@ -246,4 +246,14 @@ fn a_recorder_of_its_own_hears_every_topic_of_a_running_daemon() {
     assert_eq!(again.status.code(), Some(0), "{told} {}", String::from_utf8_lossy(&again.stderr));
     assert!(told.contains("\"equal\":true"), "{told}");
     assert_eq!(replay(&out).status.code(), Some(65));
+
+    // It carries its own configuration, so that its raw pings can be imaged without another file.
+    let images = robot.place.directory.path().join("images");
+    let mut process = Command::new(env!("CARGO_BIN_EXE_noctule"));
+    process.args(["process", "--backend", "cpu", "--sensor", "left", "--out"]).arg(&images).arg(&inner);
+    let output = process.output().expect("runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let meta = std::fs::read_to_string(images.join("meta.json")).expect("written");
+    let meta: serde_json::Value = serde_json::from_str(&meta).expect("JSON");
+    assert!(meta["pings"].as_u64().is_some_and(|pings| pings > 10) && meta["complete"] == true, "{meta}");
 }

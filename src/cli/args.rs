@@ -130,6 +130,9 @@ pub struct DemoArguments {
     /// Seed of noise and start position.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Record the run to this MCAP file, which is never overwritten: -2, -3 is added to its name.
+    #[arg(long, value_name = "F.mcap")]
+    pub record: Option<PathBuf>,
     /// Print the summary as one JSON object.
     #[arg(long)]
     pub json: bool,
@@ -187,8 +190,8 @@ pub struct OperatorArguments {
   noctule process day1 --out images --shard 3/8         # the third of eight parts, in any order, on any machines
   parallel noctule process day1 --out images --jobs 1 --shard {}/8 ::: $(seq 8)")]
 pub struct ProcessArguments {
-    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], or eRTIS .bin; or
-    /// folders of them.
+    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], eRTIS .bin, or .mcap of
+    /// noctule, which carries its own configuration; or folders of them.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
     #[command(flatten)]
@@ -349,7 +352,7 @@ pub struct EchoArguments {
 /// `check`.
 #[derive(Debug, Args)]
 pub struct CheckArguments {
-    /// Configuration or world (.toml), or recording (.npy, .bin).
+    /// Configuration or world (.toml), or recording (.npy, .bin, .mcap).
     pub file: PathBuf,
     #[command(flatten)]
     pub choice: ConfigChoice,

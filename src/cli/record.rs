@@ -1,6 +1,6 @@
 //! `noctule record` and `noctule replay`: a run into a file, and out of it again.
 
-use super::args::{RecordArguments, ReplayArguments};
+use super::args::{ConfigChoice, RecordArguments, ReplayArguments};
 use super::output::print_line;
 use super::run::{ipc_failure, service_failure, stop_flag};
 use super::{Failure, exit};
@@ -85,6 +85,18 @@ pub fn replay(arguments: &ReplayArguments) -> Result<(), Failure> {
         return Err(Failure::new(exit::FINDING, ""));
     }
     Ok(())
+}
+
+/// The configuration that was named, or the one that a recorded run carries.
+///
+/// # Errors
+/// 65 for a run without one, 78.
+pub fn config_of_recording(file: &Path, choice: &ConfigChoice) -> Result<Config, Failure> {
+    let is_run = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"));
+    match &choice.config {
+        None if is_run => recorded_config(file).map_err(|error| service_failure(&error)),
+        _ => super::config::load(choice),
+    }
 }
 
 fn config_for(file: &Path, other: Option<&Path>) -> Result<Config, Failure> {

@@ -32,7 +32,7 @@ pub struct RecordLimits {
     #[arg(long, value_name = "MIB", default_value_t = RecordOptions::RESERVE_BYTES >> 20,
           value_parser = clap::value_parser!(u64).range(0..=1 << 30))]
     pub record_reserve_mib: u64,
-    /// Leave out the raw pings: a tenth of the size, but nothing to replay.
+    /// Leave out the raw pings: half the size or less, but nothing to replay.
     #[arg(long)]
     pub record_no_raw: bool,
 }

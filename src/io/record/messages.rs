@@ -6,7 +6,7 @@
 use super::RecordError;
 use super::file::CONFIG_NAME;
 use mcap::McapError;
-use mcap::records::Record;
+use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -112,18 +112,28 @@ impl<R: Read> MessageReader<R> {
                 Some(Ok(LinearReadEvent::ReadRequest(count))) => count.clamp(1, STEP_BYTES),
                 Some(Ok(LinearReadEvent::Record { data, opcode })) => {
                     self.whole_bytes = self.fed_bytes;
-                    let record = mcap::parse_record(opcode, data).map_err(|error| damaged(&self.path, &error, 0));
-                    match record? {
-                        Record::Channel(channel) => drop(self.topics.insert(channel.id, channel.topic)),
-                        Record::Attachment { header, data, .. } if header.name == CONFIG_NAME => {
-                            self.config_toml = Some(String::from_utf8_lossy(&data).into_owned());
+                    // Parsed here, and only what is needed: the library believes lengths inside a record before it looks whether they
+                    // are there.
+                    let mut fields = Fields(data);
+                    match opcode {
+                        op::CHANNEL => {
+                            if let Some((id, topic)) = fields.channel() {
+                                self.topics.insert(id, topic);
+                            }
                         }
-                        Record::Message { header, data } => {
-                            self.message_count += 1;
-                            self.topic = header.channel_id;
-                            self.data.clear();
-                            self.data.extend_from_slice(&data);
-                            return Ok(true);
+                        op::ATTACHMENT => {
+                            if let Some(text) = fields.attachment(CONFIG_NAME) {
+                                self.config_toml = Some(text);
+                            }
+                        }
+                        op::MESSAGE => {
+                            if let Some((topic, data)) = fields.message() {
+                                self.message_count += 1;
+                                self.topic = topic;
+                                self.data.clear();
+                                self.data.extend_from_slice(data);
+                                return Ok(true);
+                            }
                         }
                         _ => {}
                     }
@@ -157,6 +167,49 @@ impl<R: Read> MessageReader<R> {
         );
         self.cut = Some(cut);
         Ok(false)
+    }
+}
+
+/// The bytes of a record, taken from the front.
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
+        let (front, rest) = self.0.split_at_checked(count)?;
+        self.0 = rest;
+        Some(front)
+    }
+
+    fn number<const N: usize>(&mut self) -> Option<[u8; N]> {
+        self.take(N)?.first_chunk().copied()
+    }
+
+    fn text(&mut self) -> Option<&'a str> {
+        let length = u32::from_le_bytes(self.number()?);
+        std::str::from_utf8(self.take(usize::try_from(length).ok()?)?).ok()
+    }
+
+    /// Identifier and topic.
+    fn channel(&mut self) -> Option<(u16, String)> {
+        let id = u16::from_le_bytes(self.number()?);
+        let _schema: [u8; 2] = self.number()?;
+        Some((id, self.text()?.to_owned()))
+    }
+
+    /// Identifier of the channel, and data.
+    fn message(&mut self) -> Option<(u16, &'a [u8])> {
+        let id = u16::from_le_bytes(self.number()?);
+        let _sequence_and_times: [u8; 20] = self.number()?;
+        Some((id, self.0))
+    }
+
+    /// The attachment, if it has that name and is text.
+    fn attachment(&mut self, wanted: &str) -> Option<String> {
+        let _times: [u8; 16] = self.number()?;
+        let (name, _media_type) = (self.text()?, self.text()?);
+        let length = u64::from_le_bytes(self.number()?);
+        let text = std::str::from_utf8(self.take(usize::try_from(length).ok()?)?).ok()?;
+        (name == wanted).then(|| text.to_owned())
     }
 }
 

@@ -15,6 +15,7 @@ mod messages;
 #[cfg(not(feature = "mcap"))]
 #[path = "no_messages.rs"]
 mod messages;
+pub mod pings;
 pub mod reader;
 mod scribe;
 pub mod slots;
