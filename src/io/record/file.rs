@@ -1,4 +1,4 @@
-//! One MCAP file: opened, its channels, its chunks, its end. The only file, with [`super::reader`], that names the library.
+//! One MCAP file: opened, its channels, its chunks, its end. The only file, with [`super::messages`], that names the library.
 //!
 //! Profile `ros2`. Chunks are made in memory and written whole, so that a process that is killed leaves whole chunks; they are
 //! compressed with LZ4 at its fastest: raw pings are close to noise, and more effort costs the processor and gains nothing.
