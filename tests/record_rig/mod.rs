@@ -118,7 +118,7 @@ impl Drive {
         self.now = emitted_at.plus_ns(DECIDED_NS);
         self.hear(tape);
         let wanted = Velocity { linear_m_s: 0.2, angular_rad_s: 0.01 * self.set_count as f64 };
-        let pose = (self.set_count % 2 == 0).then(|| self.simulator.odometry().pose);
+        let pose = self.set_count.is_multiple_of(2).then(|| self.simulator.odometry().pose);
         tape.before(self.now, &self.pings, wanted, pose);
         let outcome = self.pipeline.process(self.now, &mut self.pings, wanted, pose).expect("imaged");
         self.velocity = outcome.velocity;

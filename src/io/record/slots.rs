@@ -113,6 +113,7 @@ fn copy_samples(from: &Samples, into: &mut Samples) -> bool {
 }
 
 /// What travels to the writer. A slot goes round, so nothing is made or freed on the way.
+#[allow(clippy::large_enum_variant, reason = "a boxed note would be an allocation on the path of a command")]
 pub(super) enum Item {
     /// Something small, and when it was noted.
     Note(Stamp, Note),
