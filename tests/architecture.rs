@@ -36,6 +36,7 @@ const MAY_IMPORT: &[(&str, &[&str])] = &[
             "flow",
             "control",
             "safety",
+            "detect",
             "sim",
             "io",
             "signal",
@@ -191,6 +192,7 @@ fn each_foreign_library_has_its_own_door() {
     let doors: &[(&str, &[&str])] = &[
         ("wgpu", &["src/imaging/gpu/"]),
         ("iceoryx2", &["src/io/"]),
+        ("mcap", &["src/io/record/"]),
         ("clap", &["src/cli", "src/main.rs", "src/bin/"]),
         ("rustfft", &["src/imaging/cpu/", "src/imaging/plan", "src/imaging/direct_path/template", "src/sim/"]),
     ];

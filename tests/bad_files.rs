@@ -119,6 +119,11 @@ fn npy(descr: &str, shape: &str, bytes: usize) -> Vec<u8> {
     file
 }
 
+/// A recorded run of one record that claims `length` bytes.
+fn mcap(opcode: u8, length: u64, bytes: &[u8]) -> Vec<u8> {
+    [b"\x89MCAP0\r\n".as_slice(), &[opcode], &length.to_le_bytes(), bytes].concat()
+}
+
 fn sound_recording() -> Vec<u8> {
     npy("<i2", &format!("(1, {CHANNELS}, {SAMPLES})"), CHANNELS * SAMPLES * 2)
 }
@@ -192,6 +197,12 @@ fn recordings_that_claim_the_impossible_end_with_65_in_time_and_without_memory()
         ("cut.npy", npy("<i2", &format!("(1, {CHANNELS}, {SAMPLES})"), 1000)),
         ("words.bin", vec![1; 1000]),
         ("object.npy", npy("|O", "(1,)", 64)),
+        ("record.mcap", mcap(5, u64::MAX, &[0; 64])),
+        ("message.mcap", mcap(5, 1 << 40, &[0; 64])),
+        ("chunk.mcap", mcap(6, 100, &[[0; 16].as_slice(), &[0xff, 0xff, 0xff, 0xff, 0, 0, 0, 0], &[0; 76]].concat())),
+        ("strings.mcap", mcap(4, 8, &[1, 0, 0, 0, 0xff, 0xff, 0xff, 0x7f])),
+        ("magic.mcap", b"\x89MCAP0\r\n".to_vec()),
+        ("empty.mcap", Vec::new()),
         ("empty.npy", Vec::new()),
         ("empty.bin", Vec::new()),
     ];

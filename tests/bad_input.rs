@@ -10,6 +10,7 @@ mod common;
 use bad_input_entries::{ENTRIES, Entry, NOW};
 use checks::{figure, trials};
 use common::Random;
+use noctule::io::ros;
 use noctule::io::wire::Checked as _;
 use noctule::io::wire::message::{OperatorRequest, RawHeader, Request, VelocityCommand};
 use noctule::signal::{DaemonState, Reason};
@@ -158,6 +159,41 @@ fn npy(descr: &str, shape: &str, values: usize) -> Vec<u8> {
     bytes
 }
 
+fn encoded<T: serde::Serialize>(message: &T) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    ros::encode_into(message, &mut bytes).expect("encoded");
+    bytes
+}
+
+fn wrapped<T>(wire: T) -> ros::WireMessage<T> {
+    ros::WireMessage { header: ros::Header::new(NOW.wall_ns, "base_link"), wire }
+}
+
+fn raw_ping() -> ros::RawPingMessage<'static> {
+    let wire = RawHeader { sample_count: 16, channel_count: 1, ..RawHeader::blank() };
+    ros::RawPingMessage { header: ros::Header::default(), wire, data: ros::Octets(&[7; 64]) }
+}
+
+/// A recording of three messages in two chunks.
+fn recorded(compression: Option<mcap::Compression>) -> Vec<u8> {
+    let options = mcap::WriteOptions::new().compression(compression).emit_summary_records(false);
+    let mut writer = options.create(std::io::Cursor::new(Vec::new())).expect("begun");
+    let command = VelocityCommand::standstill(NOW, DaemonState::Active, Reason::None);
+    let messages = [
+        ("/noctule/pipeline", encoded(&wrapped(ros::PipelineStep::blank()))),
+        ("/noctule/command", encoded(&wrapped(command))),
+        ("/noctule/sonar/front/raw", encoded(&raw_ping())),
+    ];
+    for (topic, bytes) in messages {
+        let channel_id = writer.add_channel(0, topic, "cdr", &Default::default()).expect("channel");
+        let header = mcap::records::MessageHeader { channel_id, sequence: 0, log_time: 1, publish_time: 1 };
+        writer.write_to_known_channel(&header, &bytes).expect("written");
+        writer.flush().expect("a chunk");
+    }
+    writer.finish().expect("finished");
+    writer.into_inner().into_inner()
+}
+
 fn examples(name: &str) -> Vec<Vec<u8>> {
     let command = VelocityCommand::standstill(NOW, DaemonState::Active, Reason::None);
     match name {
@@ -184,6 +220,17 @@ fn examples(name: &str) -> Vec<Vec<u8>> {
             npy("<f4", "2, 0, 4", 0),
         ],
         "recording_bin" => vec![vec![0, 4, 1, 2, 3, 4, 5, 6, 7, 8, 9], [vec![0, 2], vec![7; 64]].concat()],
+        "recording_mcap" => [None, Some(mcap::Compression::Lz4), Some(mcap::Compression::Zstd)].map(recorded).to_vec(),
+        "ros_message" => {
+            let twist = |kind: u8, message: Vec<u8>| [vec![kind], message].concat();
+            let image = ros::Image { encoding: "32FC1".to_owned(), data: ros::Octets(&[1; 64]), ..Default::default() };
+            vec![
+                twist(0, encoded(&wrapped(command))),
+                twist(1, encoded(&wrapped(ros::PipelineStep::blank()))),
+                twist(2, encoded(&raw_ping())),
+                twist(3, encoded(&image)),
+            ]
+        }
         "raw_header" => {
             let header = RawHeader {
                 sequence: 7,
@@ -332,6 +379,16 @@ fn no_bytes_break_the_reading_of_npy() {
 #[test]
 fn no_bytes_break_the_reading_of_bin() {
     check(21, "recording_bin");
+}
+
+#[test]
+fn no_bytes_break_the_reading_of_mcap() {
+    check(38, "recording_mcap");
+}
+
+#[test]
+fn no_bytes_break_the_decoding_of_messages() {
+    check(38, "ros_message");
 }
 
 #[test]

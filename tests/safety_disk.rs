@@ -166,3 +166,23 @@ fn a_full_or_read_only_disk_ends_simulate_with_74_or_73_and_no_file_by_halves() 
         checks::figure(37, "simulate on a read-only disk", "all 73", "73, nothing else lost", 2);
     });
 }
+
+/// Negative control: what these tests look for, they see: a result by halves, one that was changed, a disk that has room.
+#[test]
+fn a_result_by_halves_would_be_noticed() {
+    isolated("a_result_by_halves_would_be_noticed", "64m", || {
+        let room = Room::new(8 << 10);
+        let first = room.recording("first.npy", 1);
+        let roomy = room.process(&first, "first");
+        assert!(roomy.status.success(), "a disk with room ends nothing");
+        assert!(std::panic::catch_unwind(|| assert_told(&roomy, IO, "planted")).is_err(), "success taken for an end");
+        let before = room.content();
+        let result = room.disk.join("first/energyscape.npy");
+        let whole = fs::metadata(&result).expect("there").len();
+        fs::File::options().write(true).open(&result).expect("opened").set_len(whole / 2).expect("cut");
+        fs::write(room.disk.join("first/meta.json.partial"), "{").expect("written");
+        let after = room.content();
+        assert!(before.iter().any(|file| !after.contains(file)), "a cut result is taken for whole");
+        assert!(after.iter().any(|(path, _)| path.ends_with(".partial")), "a file by halves is not seen");
+    });
+}

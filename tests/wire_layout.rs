@@ -54,7 +54,7 @@ const GOLDEN: [(&str, usize, &str); 9] = [
     (
         "noctule.Health.v1",
         304,
-        "u64 schema_hash; u64 epoch; u64 t_monotonic_ns; u64 t_wall_ns; u64 ping_set_count; u64 command_count; u64 dropped_count; u64 late_count; u64 gpu_loss_count; u64 stop_count; u64 rejected_count[3]; u64 gap_count[3]; u64 desync_ns; f64 latency_ms; f64 latency_p50_ms; f64 latency_p99_ms; f64 latency_max_ms; f64 stage_ms[5]; u32 bad_channel_count[3]; u32 sensors_present; u32 state; u32 reason; u32 backend; u32 reserved; u8 adapter[64]",
+        "u64 schema_hash; u64 epoch; u64 t_monotonic_ns; u64 t_wall_ns; u64 ping_set_count; u64 command_count; u64 dropped_count; u64 late_count; u64 gpu_loss_count; u64 stop_count; u64 rejected_count[3]; u64 gap_count[3]; u64 desync_ns; f64 latency_ms; f64 latency_p50_ms; f64 latency_p99_ms; f64 latency_max_ms; f64 stage_ms[5]; u32 bad_channel_count[3]; u32 sensors_present; u32 state; u32 reason; u32 backend; u32 recording; u8 adapter[64]",
     ),
 ];
 

@@ -110,7 +110,7 @@ NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, backend) == 96, "n
 NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, flags) == 100, "noctule.EnergyscapeHeader.v1.flags");
 
 #define NOCTULE_HEALTH_V1_TYPE_NAME "noctule.Health.v1"
-#define NOCTULE_HEALTH_V1_SCHEMA_HASH UINT64_C(0xd0e1d4ba24c0935e)
+#define NOCTULE_HEALTH_V1_SCHEMA_HASH UINT64_C(0x33375f6bb8212b7f)
 struct noctule_health_v1 {
     uint64_t schema_hash; /* Layout of the writer. */
     uint64_t epoch; /* Random number of this start of the daemon: what an arm request carries. */
@@ -135,7 +135,7 @@ struct noctule_health_v1 {
     uint32_t state; /* State of the daemon. */
     uint32_t reason; /* Why it is in that state. */
     uint32_t backend; /* 0 CPU, 1 GPU. */
-    uint32_t reserved; /* Zero. */
+    uint32_t recording; /* Recording of the run: 0 off, 1 recording, 2 finished, 3 disk full, 4 disk failed. */
     uint8_t adapter[64]; /* Adapter or instruction set that images, UTF-8, filled up with zeros. */
 };
 NOCTULE_ASSERT(sizeof(struct noctule_health_v1) == 304, "size of noctule.Health.v1");
@@ -162,7 +162,7 @@ NOCTULE_ASSERT(offsetof(struct noctule_health_v1, sensors_present) == 220, "noct
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, state) == 224, "noctule.Health.v1.state");
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, reason) == 228, "noctule.Health.v1.reason");
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, backend) == 232, "noctule.Health.v1.backend");
-NOCTULE_ASSERT(offsetof(struct noctule_health_v1, reserved) == 236, "noctule.Health.v1.reserved");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, recording) == 236, "noctule.Health.v1.recording");
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, adapter) == 240, "noctule.Health.v1.adapter");
 
 #define NOCTULE_ODOMETRY_V1_TYPE_NAME "noctule.Odometry.v1"

@@ -1,9 +1,11 @@
 //! The command line as it may be typed (specification, section 11).
 
 mod detect;
+mod record;
 mod simulate;
 
 pub use detect::{DetectArguments, DetectorArgument};
+pub use record::{RecordArguments, RecordingArguments, ReplayArguments};
 pub use simulate::{ConditionArguments, SimulateArguments};
 
 use super::bench::Case;
@@ -49,6 +51,10 @@ pub enum Command {
     Reset(OperatorArguments),
     /// Remove what stopped processes left in shared memory; after exit code 75 this is the supervisor's.
     Wipe(OperatorArguments),
+    /// Record what passes on the topics to an MCAP file.
+    Record(RecordArguments),
+    /// Run a recording again, as fast as the machine can, and compare.
+    Replay(ReplayArguments),
     /// Image recordings into NumPy files.
     Process(ProcessArguments),
     /// Drive simulated robots through a world and score them; rank sensor layouts.
@@ -126,6 +132,9 @@ pub struct DemoArguments {
     /// Seed of noise and start position.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Record the run to this MCAP file, which is never overwritten: -2, -3 is added to its name.
+    #[arg(long, value_name = "F.mcap")]
+    pub record: Option<PathBuf>,
     /// Print the summary as one JSON object.
     #[arg(long)]
     pub json: bool,
@@ -136,7 +145,8 @@ pub struct DemoArguments {
 #[command(after_help = "Examples:
   noctule run                                              simulated robot, default world
   noctule run --config robot.toml --source live            raw pings from drivers
-  noctule run --config robot.toml --source replay:a.npy    a recording, at the pace it was made")]
+  noctule run --config robot.toml --source replay:a.npy    a recording, at the pace it was made
+  noctule run --record day1.mcap --record-budget-mib 8192  recorded; the newest 8 GiB are kept")]
 pub struct RunArguments {
     #[command(flatten)]
     pub choice: ConfigChoice,
@@ -152,6 +162,8 @@ pub struct RunArguments {
     /// Seed of the simulator's noise and start position.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    #[command(flatten)]
+    pub record: RecordingArguments,
 }
 
 /// `controller`.
@@ -180,8 +192,8 @@ pub struct OperatorArguments {
   noctule process day1 --out images --shard 3/8         # the third of eight parts, in any order, on any machines
   parallel noctule process day1 --out images --jobs 1 --shard {}/8 ::: $(seq 8)")]
 pub struct ProcessArguments {
-    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], or eRTIS .bin; or
-    /// folders of them.
+    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], eRTIS .bin, or .mcap of
+    /// noctule, which carries its own configuration; or folders of them.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
     #[command(flatten)]
@@ -358,7 +370,7 @@ pub struct EchoArguments {
 /// `check`.
 #[derive(Debug, Args)]
 pub struct CheckArguments {
-    /// Configuration or world (.toml), or recording (.npy, .bin).
+    /// Configuration or world (.toml), or recording (.npy, .bin, .mcap).
     pub file: PathBuf,
     #[command(flatten)]
     pub choice: ConfigChoice,

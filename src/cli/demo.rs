@@ -156,6 +156,9 @@ fn start_daemon(arguments: &DemoArguments) -> Result<Supervised, Failure> {
     if let Some(backend) = arguments.backend.and_then(|backend| clap::ValueEnum::to_possible_value(&backend)) {
         given.extend(["--backend".into(), backend.get_name().into()]);
     }
+    if let Some(path) = &arguments.record {
+        given.extend(["--record".into(), path.into()]);
+    }
     Ok(Supervised::start("daemon", DAEMON_TERMS, move |_| child(&program, &given))?)
 }
 

@@ -13,6 +13,7 @@ mod masks;
 mod output;
 mod process;
 mod relay;
+mod record;
 mod run;
 mod simulate;
 mod soak;
@@ -150,6 +151,8 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Stop(arguments) => run::operator(&arguments, run::Request::Stop),
         Command::Reset(arguments) => run::operator(&arguments, run::Request::Reset),
         Command::Wipe(arguments) => run::wipe(&arguments),
+        Command::Record(arguments) => record::record(&arguments),
+        Command::Replay(arguments) => record::replay(&arguments),
         Command::Process(arguments) => process::process(&arguments),
         Command::Simulate(arguments) => simulate::simulate(&arguments),
         Command::Soak(arguments) => soak::soak_command(&arguments),

@@ -25,6 +25,7 @@ use finished::Fingerprint;
 use indicatif::ProgressBar;
 use inputs::Target;
 use job::Job;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, Once, PoisonError};
 
@@ -66,7 +67,10 @@ type Waiting = (Target, Fingerprint);
 /// # Errors
 /// Exit 65 when any input is bad (after all were tried), 69 without the GPU asked for, 73, 74, 77, 78.
 pub fn process(arguments: &ProcessArguments) -> Result<(), Failure> {
-    let config = super::config::load(&arguments.choice)?;
+    // The first run among the inputs speaks for all: they are imaged with one configuration.
+    let is_run = |path: &&PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"));
+    let first = arguments.inputs.iter().find(is_run).or(arguments.inputs.first());
+    let config = super::record::config_of_recording(first.map_or(Path::new(""), PathBuf::as_path), &arguments.choice)?;
     let sensor_index = find_sensor(&config, arguments.sensor.as_deref())?;
     let targets = inputs::targets(arguments)?;
     make_folder(&arguments.out)?;
@@ -155,7 +159,10 @@ fn image(
     let at_once = imagers.min(waiting.len());
     let words = wiring::words_per_ping(config);
     // A header is all that is read here; what cannot be opened is told when its turn comes.
-    let pings = |input| RecordingFile::open(input, words).map_or(0, |recording| recording.shape().ping_count as u64);
+    let pings = |input| {
+        RecordingFile::open_sensor(input, words, sensor_index)
+            .map_or(0, |recording| recording.shape().ping_count as u64)
+    };
     let bar = progress(0, "imaging");
     if !bar.is_hidden() {
         bar.set_length(waiting.iter().map(|(target, _)| pings(&target.input)).sum());

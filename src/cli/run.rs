@@ -34,7 +34,9 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let source = source_choice(&arguments.source, arguments.seed, &mut config)?;
     let prefer = arguments.backend.map_or(config.imaging.backend, Into::into);
     let limit = arguments.duration.map(Duration::from_secs_f64);
-    service::run(&config, &source, prefer, limit, &stop).map_err(|error| service_failure(&error))
+    let record = arguments.record.options();
+    service::run_recorded(&config, &source, prefer, limit, &stop, record.as_ref())
+        .map_err(|error| service_failure(&error))
 }
 
 /// A flag that SIGTERM and SIGINT set; a second signal ends the process at once.
@@ -96,6 +98,9 @@ pub fn service_failure(error: &ServiceError) -> Failure {
         ServiceError::Ipc(error) | ServiceError::Source(SourceError::Ipc(error)) => ipc_failure(error),
         ServiceError::Source(SourceError::Recording(error)) => super::process::data_failure(error),
         ServiceError::Source(SourceError::Other(_)) => Failure::new(exit::DATA, error),
+        ServiceError::Record(error) | ServiceError::Source(SourceError::Record(error)) => {
+            Failure::new(error.exit_code(), error)
+        }
         ServiceError::RootLost(_) => Failure::new(exit::IPC_STUCK, error),
         ServiceError::Gave { code, .. } => Failure::new(*code, error),
         ServiceError::Internal(_) => Failure::new(exit::INTERNAL, error),

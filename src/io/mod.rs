@@ -9,6 +9,8 @@
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`energyscape_reader`] | who publishes and listens to what |
 //! | [`c_header`], [`relay`] | the types for clients in C, copies for other machines |
 //! | [`echo`] | what passes on a topic, for people and programs |
+//! | [`record`] | a run to MCAP and back |
+//! | [`ros`] | our nouns as ROS 2 messages |
 //! | [`source`] | where ping sets come from |
 //! | [`recording_file`], [`picture`], [`plot`], [`plot_layouts`] | files in, pictures out |
 
@@ -29,9 +31,11 @@ mod polar;
 mod ports;
 mod probe;
 pub mod raw_topics;
+pub mod record;
 pub mod recording_file;
 pub mod relay;
 mod root;
+pub mod ros;
 mod session;
 pub mod source;
 pub mod status_topics;

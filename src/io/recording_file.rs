@@ -1,8 +1,10 @@
-//! Raw recordings in files: NumPy `.npy` and eRTIS `.bin`, read ping by ping, so that memory does not grow with the file.
+//! Raw recordings in files: NumPy `.npy`, eRTIS `.bin` and recorded runs `.mcap`, read ping by ping, so that memory does not grow with the file.
 //!
 //! In: a path and what the configuration says of the data. Out: [`Samples`] of one ping at a time. A file that ends
 //! in the middle of a ping gives its complete pings and then one error. Never interprets samples.
 
+use super::record::RecordError;
+use super::record::pings::RunPings;
 use crate::signal::{SampleFormat, Samples};
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -62,7 +64,7 @@ pub struct RecordingShape {
 }
 
 /// An open recording: a file, or whatever else gives its bytes.
-pub struct RecordingFile<R = BufReader<File>> {
+pub struct RecordingFile<R = Box<dyn Read + Send>> {
     path: PathBuf,
     reader: R,
     shape: RecordingShape,
@@ -74,16 +76,40 @@ impl RecordingFile {
     /// Opens a recording. `words_per_ping` is the configuration's, used for `.bin`, which has no header of its own.
     ///
     /// # Errors
-    /// [`RecordingError`] when the file cannot be read, its name ends in neither `.npy` nor `.bin`, or it holds no ping.
+    /// [`RecordingError`] when the file cannot be read, its name ends in none of `.npy`, `.bin` and `.mcap`, or it holds no ping.
     pub fn open(path: &Path, words_per_ping: usize) -> Result<Self, RecordingError> {
+        Self::open_sensor(path, words_per_ping, 0)
+    }
+
+    /// As [`RecordingFile::open`]; of a recorded run, which holds all sensors, the pings of this one.
+    ///
+    /// # Errors
+    /// As [`RecordingFile::open`].
+    pub fn open_sensor(path: &Path, words_per_ping: usize, sensor_index: usize) -> Result<Self, RecordingError> {
         let io = |error| RecordingError::Io { path: path.to_owned(), error };
         // Asked before opening: to open a pipe would wait for its other end.
         let metadata = std::fs::metadata(path).map_err(io)?;
         if !metadata.is_file() {
-            return Err(content(path, "no regular file", "a .npy or .bin file"));
+            return Err(content(path, "no regular file", "a .npy, .bin or .mcap file"));
         }
         let file = File::open(path).map_err(io)?;
-        Self::from_reader(path, BufReader::with_capacity(1 << 16, file), metadata.len(), words_per_ping)
+        if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap")) {
+            return Self::open_run(path, sensor_index);
+        }
+        let reader: Box<dyn Read + Send> = Box::new(BufReader::with_capacity(1 << 16, file));
+        Self::from_reader(path, reader, metadata.len(), words_per_ping)
+    }
+
+    fn open_run(path: &Path, sensor_index: usize) -> Result<Self, RecordingError> {
+        let (pings, shape) = RunPings::open(path, sensor_index).map_err(|error| match error {
+            RecordError::Content { path, found, allowed } => RecordingError::Content { path, found, allowed },
+            other => RecordingError::Io { path: path.to_owned(), error: std::io::Error::other(other) },
+        })?;
+        let channel_count = (shape.format != SampleFormat::Pdm).then_some(shape.channel_count);
+        let bytes = vec![0; shape.bytes];
+        let (format, sample_count, ping_count) = (shape.format, shape.sample_count, shape.count);
+        let shape = RecordingShape { format, channel_count, sample_count, ping_count };
+        Ok(Self { path: path.to_owned(), reader: Box::new(pings), shape, pings_read: 0, bytes })
     }
 }
 
@@ -98,9 +124,9 @@ impl<R: Read> RecordingFile<R> {
             Some("npy") => npy_shape(path, &mut reader)?,
             Some("bin") => bin_shape(path, length, words_per_ping)?,
             Some("mcap") => {
-                return Err(content(path, "an MCAP recording", "a .npy or .bin file (MCAP is not read yet)"));
+                return Err(content(path, "an MCAP recording", "a .npy or .bin file"));
             }
-            _ => return Err(content(path, "another kind of file", "a name that ends in .npy or .bin")),
+            _ => return Err(content(path, "another kind of file", "a name that ends in .npy, .bin or .mcap")),
         };
         let ping_bytes = ping_bytes(&shape);
         if ping_bytes == 0 || ping_bytes > PING_BYTES_MAX {

@@ -7,15 +7,17 @@ use super::acquisition::Delivered;
 use super::handoff::{Taken, Taker};
 use super::health::Reporter;
 use super::pipeline::{Outcome, Pipeline};
+use super::tape::Tape;
 use super::watching::Progress;
 use crate::geometry::Pose2;
 use crate::io::DaemonTopics;
+use crate::io::record::Note;
 use crate::io::wire::message::{
     EnergyscapeHeader, FLAG_BACKEND_FALLBACK, FLAG_CHANNELS_LEFT_OUT, Odometry, Request, VelocityCommand, VelocityInput,
 };
 use crate::io::wire::telemetry::{CueThresholds, Cues};
 use crate::safety::{DaemonEvent, DaemonOutput, OperatorEvent};
-use crate::signal::{DaemonState, Velocity};
+use crate::signal::{DaemonState, SENSORS_MAX, Velocity};
 use crate::time::{Clock, Stamp, SystemClock};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,7 +26,7 @@ use std::time::Duration;
 /// Longest wait for a ping set before operators and ages are looked at again.
 const WAIT: Duration = Duration::from_millis(10);
 /// Zero is published this often at the end, so that one lost sample does not matter.
-const ZEROS_AT_END: usize = 3;
+pub(super) const ZEROS_AT_END: usize = 3;
 
 /// How the loop ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,6 +55,7 @@ pub struct DecisionLoop {
     pub(super) dropped_count: u64,
     pub(super) last_set_at: Option<Stamp>,
     pub(super) last_emitted_at: Stamp,
+    pub(super) tape: Tape,
 }
 
 impl DecisionLoop {
@@ -85,7 +88,7 @@ impl DecisionLoop {
             }
             progress.beat(self.pipeline.daemon().state(), self.pipeline.daemon().reason());
             let now = SystemClock.now();
-            self.reporter.report(now, &self.pipeline, &self.topics);
+            self.report(now);
             if let Some(code) = self.reporter.exit_code {
                 break Ended::Code(code);
             }
@@ -109,7 +112,9 @@ impl DecisionLoop {
             self.stand_still(&output);
         }
         let now = SystemClock.now();
-        self.reporter.report_now(now, &self.pipeline, &self.topics);
+        self.reporter.recording = self.tape.state();
+        let health = self.reporter.report_now(now, &self.pipeline, &self.topics);
+        self.tape.note(now, Note::Health(health));
         ended
     }
 
@@ -128,6 +133,9 @@ impl DecisionLoop {
     /// Operators first: a stop must not wait for a ping set.
     fn listen(&mut self) {
         while let Some(request) = self.topics.poll_operator() {
+            if self.tape.is_on() {
+                self.tape.note(SystemClock.now(), Note::Operator(request));
+            }
             let event = match request.request() {
                 Some(Request::Arm) => {
                     OperatorEvent::Arm { epoch: request.epoch, requested_at_ns: request.t_monotonic_ns }
@@ -140,9 +148,23 @@ impl DecisionLoop {
         }
         if let Some(input) = self.topics.poll_input() {
             self.input = Some(input);
+            self.tape.note(SystemClock.now(), Note::Input(input));
         }
         if let Some(odometry) = self.topics.poll_odometry() {
             self.pose = pose_of(&odometry);
+            self.tape.note(SystemClock.now(), Note::Odometry(odometry));
+        }
+        if self.tape.is_on() {
+            while let Some(platform) = self.topics.next_platform() {
+                self.tape.note(SystemClock.now(), Note::Platform(platform));
+            }
+        }
+    }
+
+    fn report(&mut self, now: Stamp) {
+        self.reporter.recording = self.tape.state();
+        if let Some(health) = self.reporter.report(now, &self.pipeline, &self.topics) {
+            self.tape.note(now, Note::Health(health));
         }
     }
 
@@ -170,11 +192,14 @@ impl DecisionLoop {
         self.last_emitted_at = emitted_at;
         let wanted = self.wanted(delivered.wanted, begin);
         let pose = self.pose.filter(|(_, at)| begin.since_ns(*at) <= self.input_max_age_ns.cast_signed());
-        let outcome = self.pipeline.process(begin, &mut delivered.pings, wanted, pose.map(|(pose, _)| pose));
+        let pose = pose.map(|(pose, _)| pose);
+        self.tape.before(begin, &delivered.pings, wanted, pose);
+        let outcome = self.pipeline.process(begin, &mut delivered.pings, wanted, pose);
         match outcome {
             Ok(outcome) => {
                 self.reporter.note(&outcome.output);
-                self.publish(&outcome, emitted_at);
+                let headers = self.publish(&outcome, emitted_at);
+                self.tape.after(SystemClock.now(), &delivered.pings, &self.pipeline.image().energyscapes, &headers);
                 if let Some(output) = self.pipeline.after_command(&delivered.pings, SystemClock.now()) {
                     self.reporter.note(&output);
                     self.stand_still(&output);
@@ -185,11 +210,14 @@ impl DecisionLoop {
                 let daemon = self.pipeline.daemon();
                 let command = VelocityCommand::standstill(emitted_at, daemon.state(), daemon.reason());
                 self.send(command);
+                self.tape.after(SystemClock.now(), &delivered.pings, &[], &[None; SENSORS_MAX]);
             }
         }
     }
 
-    fn publish(&mut self, outcome: &Outcome, emitted_at: Stamp) {
+    /// Publishes command, images and cues; gives the headers of the images.
+    fn publish(&mut self, outcome: &Outcome, emitted_at: Stamp) -> [Option<EnergyscapeHeader>; SENSORS_MAX] {
+        let mut headers = [None; SENSORS_MAX];
         let output = &outcome.output;
         let command = VelocityCommand::from_decision(&outcome.decision, outcome.velocity, output.state, output.reason);
         let now = self.send(command);
@@ -209,13 +237,17 @@ impl DecisionLoop {
             if self.pipeline.fell_back() {
                 header.flags |= FLAG_BACKEND_FALLBACK;
             }
+            headers[index] = Some(header);
             if let Err(error) = self.topics.publish_energyscape(index, &header, &energyscape.values) {
                 self.reporter.complain(&error);
             }
         }
-        if let Err(error) = self.topics.publish_cues(Cues::new(&outcome.cues, &self.thresholds)) {
+        let cues = Cues::new(&outcome.cues, &self.thresholds);
+        if let Err(error) = self.topics.publish_cues(cues) {
             self.reporter.complain(&error);
         }
+        self.tape.note(now, Note::Cues(cues));
+        headers
     }
 
     /// Tells the state machine that time passes; when it therefore stops the robot, says so.
@@ -229,7 +261,9 @@ impl DecisionLoop {
     }
 
     fn tell(&mut self, event: DaemonEvent) -> DaemonOutput {
-        let output = self.pipeline.tell(event, SystemClock.now());
+        let now = SystemClock.now();
+        self.tape.told(&event, now);
+        let output = self.pipeline.tell(event, now);
         self.reporter.note(&output);
         let stops = output.transition.is_some_and(|transition| !transition.to.allows_motion());
         if stops {
@@ -245,7 +279,11 @@ impl DecisionLoop {
     fn send(&mut self, command: VelocityCommand) -> Stamp {
         let now = SystemClock.now();
         match self.topics.publish_command(command, now) {
-            Ok(sequence) => self.reporter.command_count = sequence,
+            Ok(sequence) => {
+                self.reporter.command_count = sequence;
+                let epoch = self.topics.epoch();
+                self.tape.command(now, VelocityCommand { epoch, sequence, t_published_ns: now.boottime_ns, ..command });
+            }
             Err(error) => self.reporter.complain(&error),
         }
         now

@@ -3,7 +3,8 @@
 
 use super::latency::Latencies;
 use super::pipeline::{Outcome, Pipeline};
-use crate::io::wire::telemetry::Health;
+use crate::io::record::RecordState;
+use crate::io::wire::telemetry::{Health, recording_number};
 use crate::io::{DaemonTopics, IpcError};
 use crate::safety::DaemonOutput;
 use crate::signal::{DaemonState, Reason, SENSORS_MAX};
@@ -19,6 +20,8 @@ pub struct Reporter {
     pub command_count: u64,
     /// The state machine wants the process to end with this code.
     pub exit_code: Option<u8>,
+    /// How the recording is, where there is one.
+    pub recording: Option<RecordState>,
     ping_set_count: u64,
     dropped_count: u64,
     late_count: u64,
@@ -89,18 +92,16 @@ impl Reporter {
     }
 
     /// Publishes when a second has passed or the state has changed.
-    pub fn report(&mut self, now: Stamp, pipeline: &Pipeline, topics: &DaemonTopics) {
+    pub fn report(&mut self, now: Stamp, pipeline: &Pipeline, topics: &DaemonTopics) -> Option<Health> {
         if std::mem::take(&mut self.passed_self_test) {
             pipeline.calibrations().for_each(|(name, found)| log::info!("{name}: {found}"));
         }
         let due = self.reported_at.is_none_or(|at| now.since_ns(at) >= PERIOD_NS);
-        if due || self.news {
-            self.report_now(now, pipeline, topics);
-        }
+        (due || self.news).then(|| self.report_now(now, pipeline, topics))
     }
 
-    /// Publishes.
-    pub fn report_now(&mut self, now: Stamp, pipeline: &Pipeline, topics: &DaemonTopics) {
+    /// Publishes; gives what was published.
+    pub fn report_now(&mut self, now: Stamp, pipeline: &Pipeline, topics: &DaemonTopics) -> Health {
         self.news = false;
         self.reported_at = Some(now);
         let latency = self.latencies.summary();
@@ -126,11 +127,13 @@ impl Reporter {
             state: pipeline.daemon().state().number(),
             reason: pipeline.daemon().reason().number(),
             backend: imager.kind() as u32,
+            recording: recording_number(self.recording),
             ..Health::blank()
         }
         .with_adapter(&imager.report().adapter);
         if let Err(error) = topics.publish_health(health) {
             self.complain(&error);
         }
+        Health { epoch: topics.epoch(), ..health }
     }
 }

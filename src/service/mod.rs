@@ -18,9 +18,11 @@ pub mod pipeline;
 pub mod plots;
 pub mod proving;
 pub mod regions;
+pub mod replay;
 pub mod soak;
 pub mod supervisor;
 pub mod sweep;
+pub mod tape;
 pub mod trial;
 pub mod watching;
 pub mod wiring;
@@ -31,7 +33,9 @@ use crate::flow::MaskSet;
 use crate::imaging::backend::BackendError;
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
+use crate::io::record::{RecordError, RecordOptions, RecordState, Recorder, Recording};
 use crate::io::source::live::LiveSource;
+use crate::io::source::recorded::RecordedSource;
 use crate::io::source::replay::ReplaySource;
 use crate::io::source::simulator::SimulatorSource;
 use crate::io::source::{Source, SourceError};
@@ -50,7 +54,12 @@ use pipeline::Pipeline;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
+use tape::Tape;
 use wiring::SensingSetup;
+
+/// Longest wait for the end of a recording after a planned end, and after a signal: then the process is to be gone within a second.
+const FINISH_LIMIT: Duration = Duration::from_secs(10);
+const SIGNAL_FINISH_LIMIT: Duration = Duration::from_millis(400);
 
 /// Where ping sets come from.
 #[derive(Debug, Clone)]
@@ -88,6 +97,9 @@ pub enum ServiceError {
     /// The source cannot start or go on.
     #[error(transparent)]
     Source(#[from] SourceError),
+    /// A recording cannot be made or read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
     /// The IPC root was removed or replaced under the running daemon.
     #[error("the IPC root {0} was taken away: the robot was stopped")]
     RootLost(String),
@@ -115,6 +127,22 @@ pub fn run(
     limit: Option<Duration>,
     stop: &Stop,
 ) -> Result<(), ServiceError> {
+    run_recorded(config, source, prefer, limit, stop, None)
+}
+
+/// As [`run`], recorded if `record` says how. A disk that cannot be written is told in log and health; the robot is driven all the
+/// same.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_recorded(
+    config: &Config,
+    source: &SourceChoice,
+    prefer: Prefer,
+    limit: Option<Duration>,
+    stop: &Stop,
+    record: Option<&RecordOptions>,
+) -> Result<(), ServiceError> {
     let setup = wiring::sensing(config)?;
     let masks = wiring::masks(config, &setup)?;
     setup.hidden.iter().for_each(|what| log::info!("hidden: {what}"));
@@ -128,7 +156,17 @@ pub fn run(
     let ipc = Ipc::open(&config.ipc)?;
     let choice = source;
     let open = |setup: &SensingSetup| open_source(config, setup, choice, &ipc);
-    drive(config, Parts { setup, masks, imager }, &ipc, open, limit, stop)
+    // Before the working threads, whose priority it must not have.
+    let recording = record.map(|options| start_recording(options, config, &setup));
+    drive_recorded(config, Parts { setup, masks, imager }, &ipc, open, limit, stop, recording)
+}
+
+/// A recording, or the state that it could not get out of.
+fn start_recording(options: &RecordOptions, config: &Config, setup: &SensingSetup) -> Result<Recording, RecordState> {
+    Recording::start(options, tape::subject(config, setup)).map_err(|error| {
+        log::error!("nothing is recorded, the robot goes on: {error}");
+        error.state()
+    })
 }
 
 /// What the daemon works with, made elsewhere.
@@ -153,6 +191,18 @@ pub fn drive(
     limit: Option<Duration>,
     stop: &Stop,
 ) -> Result<(), ServiceError> {
+    drive_recorded(config, parts, ipc, open_source, limit, stop, None)
+}
+
+fn drive_recorded(
+    config: &Config,
+    parts: Parts,
+    ipc: &Ipc,
+    open_source: impl FnOnce(&SensingSetup) -> Result<Box<dyn Source + Send>, ServiceError>,
+    limit: Option<Duration>,
+    stop: &Stop,
+    recording: Option<Result<Recording, RecordState>>,
+) -> Result<(), ServiceError> {
     let Parts { setup, masks, imager } = parts;
     let names: Vec<String> = setup.sensors.iter().map(|sensor| sensor.name.clone()).collect();
     let cells = vec![setup.plan.grid.cell_count(); names.len()];
@@ -161,9 +211,34 @@ pub fn drive(
     log::info!("source: {}", source.describe());
     let empty = Delivered { pings: empty_ping_set(&setup), wanted: None };
     let epoch = topics.epoch();
-    let pipeline = Pipeline::new(config, setup, masks, imager, epoch, SystemClock.now());
-    let decision = decision_loop(config, pipeline, topics, ipc);
-    watching::supervise(decision, source, empty, limit, stop)
+    let begun = SystemClock.now();
+    let pipeline = Pipeline::new(config, setup, masks, imager, epoch, begun);
+    let (tape, recorder) = match recording {
+        None => (Tape::default(), None),
+        Some(Err(state)) => (Tape::broken(state), None),
+        Some(Ok(Recording { tap, recorder })) => (Tape::new(tap, epoch, begun), Some(recorder)),
+    };
+    let decision = decision_loop(config, pipeline, topics, ipc, tape);
+    let ended = watching::supervise(decision, source, empty, limit, stop);
+    if let Some(recorder) = recorder {
+        let planned = limit.is_some_and(|limit| SystemClock.now().since_ns(begun) >= limit.as_nanos() as i64);
+        finish_recording(recorder, if planned { FINISH_LIMIT } else { SIGNAL_FINISH_LIMIT });
+    }
+    ended
+}
+
+/// The robot stands and knows it; now the file may be finished.
+fn finish_recording(recorder: Recorder, limit: Duration) {
+    match recorder.finish(limit) {
+        Ok(tally) => log::info!(
+            "recorded {} messages, {} MiB; {} ping sets and {} notes lost",
+            tally.messages,
+            tally.bytes >> 20,
+            tally.dropped_sets,
+            tally.dropped_notes
+        ),
+        Err(error) => log::error!("the recording ended early: {error}"),
+    }
 }
 
 fn stopping_line(config: &Config) -> String {
@@ -193,6 +268,14 @@ fn open_source(
             let simulator = simulator(config, setup, (**world).clone(), params, *seed)?;
             Ok(Box::new(SimulatorSource::open(simulator, ipc, rate_hz, setup.recording.duration_s())?))
         }
+        SourceChoice::Replay(paths) if paths.iter().any(|path| is_mcap(path)) => {
+            let [path] = paths.as_slice() else {
+                let found =
+                    format!("found {} files, allowed: one MCAP recording, which holds all sensors", paths.len());
+                return Err(SourceError::Other(found).into());
+            };
+            Ok(Box::new(RecordedSource::open(path)?))
+        }
         SourceChoice::Replay(paths) => {
             let words = wiring::words_per_ping(config);
             Ok(Box::new(ReplaySource::open(paths, words, &empty_ping_set(setup), rate_hz)?))
@@ -210,6 +293,10 @@ fn open_source(
             Ok(Box::new(LiveSource::new(topics, sensors.len(), config.safety.group_deadline())))
         }
     }
+}
+
+fn is_mcap(path: &std::path::Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
 }
 
 /// A simulator of the configured robot.
@@ -240,7 +327,7 @@ pub fn simulator(
     Ok(simulator)
 }
 
-fn decision_loop(config: &Config, pipeline: Pipeline, topics: DaemonTopics, ipc: &Ipc) -> DecisionLoop {
+fn decision_loop(config: &Config, pipeline: Pipeline, topics: DaemonTopics, ipc: &Ipc, tape: Tape) -> DecisionLoop {
     let setup = pipeline.setup();
     let grid = &setup.plan.grid;
     let header = |index| EnergyscapeHeader::for_grid(grid, index, setup.speed_of_sound_m_s);
@@ -265,6 +352,7 @@ fn decision_loop(config: &Config, pipeline: Pipeline, topics: DaemonTopics, ipc:
         dropped_count: 0,
         last_set_at: None,
         last_emitted_at: Stamp::default(),
+        tape,
         pipeline,
         topics,
     }

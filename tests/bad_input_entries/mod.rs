@@ -9,7 +9,9 @@ use noctule::config::Config;
 use noctule::document::DocumentError;
 use noctule::imaging::steering;
 use noctule::io::RawShape;
+use noctule::io::record::{Entry as RunEntry, RecordError, RunReader};
 use noctule::io::recording_file::{RecordingError, RecordingFile};
+use noctule::io::ros::{self, Image, PipelineStep, RawPingMessage, WireMessage};
 use noctule::io::wire::message::{Odometry, OperatorRequest, RawHeader, Request, VelocityCommand, VelocityInput};
 use noctule::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use noctule::io::wire::{Checked, WireType, fields_json};
@@ -36,6 +38,8 @@ pub const ENTRIES: &[Entry] = &[
     Entry { name: "directions_csv", run: directions_csv },
     Entry { name: "recording_npy", run: recording_npy },
     Entry { name: "recording_bin", run: recording_bin },
+    Entry { name: "recording_mcap", run: recording_mcap },
+    Entry { name: "ros_message", run: ros_message },
     Entry { name: "raw_header", run: raw_header },
     Entry { name: "command", run: command },
     Entry { name: "operator", run: operator },
@@ -174,6 +178,50 @@ fn recording(path: &Path, bytes: &[u8], words_per_ping: usize) -> bool {
     }
     assert_eq!(count, shape.ping_count);
     true
+}
+
+/// A recorded run: what is cut off gives what is whole, what is damaged is refused with the file's name.
+fn recording_mcap(bytes: &[u8]) -> bool {
+    let refused = |error: RecordError| {
+        let message = error.to_string();
+        assert!(message.contains("recording.mcap") && message.contains("found"), "{message}");
+        false
+    };
+    let mut reader = match RunReader::from_reader(Path::new("recording.mcap"), bytes, bytes.len() as u64) {
+        Ok(reader) => reader,
+        Err(error) => return refused(error),
+    };
+    let mut count = 0_usize;
+    loop {
+        match reader.next_entry_of_part() {
+            Ok(None) => break,
+            Ok(Some(entry)) => {
+                count += 1;
+                // A message has eleven bytes beside its data, and no compression makes more than 255 of one.
+                assert!(count <= bytes.len() * 255, "{count} entries of {} bytes", bytes.len());
+                if let RunEntry::Raw(_, ping) = entry {
+                    assert!(ping.data.0.len() <= bytes.len() * 255);
+                }
+            }
+            Err(error) => return refused(error),
+        }
+    }
+    assert!(reader.cut().is_none_or(|cut| cut.whole_bytes + cut.lost_bytes == bytes.len() as u64));
+    true
+}
+
+/// The first byte says which message the rest is to be.
+fn ros_message(bytes: &[u8]) -> bool {
+    let Some((kind, rest)) = bytes.split_first() else { return false };
+    fn wire_is<T: WireType>(bytes: &[u8]) -> bool {
+        ros::decode::<WireMessage<T>>(bytes).is_ok_and(|message| message.checked().is_ok())
+    }
+    match kind % 4 {
+        0 => wire_is::<VelocityCommand>(rest),
+        1 => wire_is::<PipelineStep>(rest),
+        2 => ros::decode::<RawPingMessage<'_>>(rest).is_ok_and(|ping| ping.data.0.len() <= rest.len()),
+        _ => ros::decode::<Image<'_>>(rest).is_ok_and(|image| image.data.0.len() <= rest.len()),
+    }
 }
 
 /// A value of a wire type from the first bytes, zeros where they are too few.

@@ -48,7 +48,8 @@ impl Job<'_> {
     /// same; 69, 73, 74, 77, 78.
     pub fn run(&self, crew: &mut Option<Crew>) -> Result<(), Failure> {
         let words = wiring::words_per_ping(self.batch.config);
-        let mut recording = RecordingFile::open(&self.target.input, words).map_err(|error| data_failure(&error))?;
+        let mut recording = RecordingFile::open_sensor(&self.target.input, words, self.batch.sensor_index)
+            .map_err(|error| data_failure(&error))?;
         let Crew { setup, imagers } = self.crew(crew, recording.shape())?;
         let folder = &self.target.folder;
         make_folder(folder)?;

@@ -4,6 +4,7 @@
 //! stamps each ping with its time of emission, which nothing later changes.
 
 pub mod live;
+pub mod recorded;
 pub mod replay;
 pub mod simulator;
 
@@ -30,6 +31,9 @@ pub enum SourceError {
     /// Raw pings cannot be received or published.
     #[error(transparent)]
     Ipc(#[from] super::IpcError),
+    /// A recorded run is damaged or does not fit the configuration.
+    #[error(transparent)]
+    Record(#[from] super::record::RecordError),
     /// Anything else, in one sentence that names what was found.
     #[error("{0}")]
     Other(String),

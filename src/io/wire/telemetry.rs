@@ -6,6 +6,7 @@
 
 use super::message::{backend_name, daemon_state_name, reason_name};
 use super::{NO_SENSOR, wire_type};
+use crate::io::record::RecordState;
 use crate::signal::{GateState, LayerCue, SENSORS_MAX, WALL_PEAKS_MAX};
 use iceoryx2::prelude::ZeroCopySend;
 
@@ -160,8 +161,8 @@ wire_type! {
         reason: u32 as reason_name,
         /// 0 CPU, 1 GPU.
         backend: u32 as backend_name,
-        /// Zero.
-        reserved: u32,
+        /// Recording of the run: 0 off, 1 recording, 2 finished, 3 disk full, 4 disk failed.
+        recording: u32 as recording_name,
         /// Adapter or instruction set that images, UTF-8, filled up with zeros.
         adapter: [u8; ADAPTER_BYTES],
     }
@@ -169,6 +170,19 @@ wire_type! {
 
 pub(crate) fn gate_state_name(number: u32) -> Option<&'static str> {
     GateState::from_number(number).map(GateState::as_str)
+}
+
+/// Names of the numbers of [`Health::recording`].
+const RECORDING_NAMES: [&str; 5] = ["off", "recording", "finished", "disk_full", "disk_failed"];
+
+pub(crate) fn recording_name(number: u32) -> Option<&'static str> {
+    RECORDING_NAMES.get(number as usize).copied()
+}
+
+/// The number of a recording's state on the wire.
+#[must_use]
+pub fn recording_number(state: Option<RecordState>) -> u32 {
+    state.map_or(0, |state| 1 + state as u32)
 }
 
 /// The thresholds that the controller compares cues with.

@@ -1,0 +1,224 @@
+//! From notes and slots to ROS messages on their topics.
+//!
+//! | topic | type |
+//! |---|---|
+//! | `/noctule/sonar/<name>/raw` | noctule_msgs/RawPing |
+//! | `/noctule/sonar/<name>/energyscape` | sensor_msgs/Image, 32FC1: rows directions, columns ranges |
+//! | `/noctule/sonar/<name>/energyscape_info` | noctule_msgs/EnergyscapeHeader: the axes |
+//! | `/noctule/sonar/<name>/scan` | sensor_msgs/LaserScan |
+//! | `/noctule/command`, `/noctule/cmd_vel` | noctule_msgs/VelocityCommand with its cause, geometry_msgs/TwistStamped |
+//! | `/noctule/platform`, `/noctule/platform_vel` | noctule_msgs/PlatformVelocity, geometry_msgs/TwistStamped |
+//! | `/noctule/cues`, `/input`, `/operator`, `/odometry`, `/health` | the topics' own types |
+//! | `/noctule/pipeline` | noctule_msgs/PipelineStep: what a replay repeats |
+//! | `/diagnostics`, `/tf`, `/tf_static` | diagnostic_msgs/DiagnosticArray, tf2_msgs/TFMessage |
+//!
+//! A message is logged at the time when it was noted, so a sorted file keeps its order; its own stamp is the publish time.
+
+use super::slots::{Note, Slot};
+use super::volume::Volume;
+use super::{RecordError, RecordOptions, RecordSubject, ScanMaker};
+use crate::io::ros::{self, Header, Message, Octets, RawPingMessage, WireMessage};
+use crate::io::wire::message::{RawHeader, format_number};
+use crate::io::wire::{HEADER_VERSION, WireType};
+use crate::sensor::{RecordingFormat, SensorSetup};
+use crate::signal::{RangeScan, Samples};
+use crate::time::{Clock, Stamp, SystemClock};
+use std::sync::Arc;
+
+/// Topic of what the pipeline was told.
+pub(super) const PIPELINE: &str = "/noctule/pipeline";
+/// Topic of commands.
+pub(super) const COMMAND: &str = "/noctule/command";
+
+/// Writes messages.
+pub(super) struct Scribe {
+    volume: Volume,
+    bytes: Vec<u8>,
+    sensors: Vec<SensorSetup>,
+    topics: Vec<SensorTopics>,
+    format: RecordingFormat,
+    period_s: f64,
+    scanners: Vec<ScanMaker>,
+    scans: Vec<RangeScan>,
+    message_count: u64,
+}
+
+struct SensorTopics {
+    raw: String,
+    image: String,
+    info: String,
+    scan: String,
+}
+
+impl SensorTopics {
+    fn new(sensor: &str) -> Self {
+        let topic = |leaf: &str| format!("/noctule/sonar/{sensor}/{leaf}");
+        Self { raw: topic("raw"), image: topic("energyscape"), info: topic("energyscape_info"), scan: topic("scan") }
+    }
+}
+
+impl Scribe {
+    pub fn start(options: &RecordOptions, subject: RecordSubject) -> Result<Self, RecordError> {
+        let now = SystemClock.now();
+        let scan = |index: usize| RangeScan::unseen(Arc::clone(&subject.grid), index);
+        let mut scribe = Self {
+            volume: Volume::create(options, subject.config_toml, now.wall_ns)?,
+            bytes: Vec::new(),
+            topics: subject.sensors.iter().map(|sensor| SensorTopics::new(&sensor.name)).collect(),
+            scans: (0..subject.sensors.len()).map(scan).collect(),
+            sensors: subject.sensors,
+            format: subject.format,
+            period_s: subject.period_s,
+            scanners: subject.scanners,
+            message_count: 0,
+        };
+        scribe.begin_part(now)?;
+        Ok(scribe)
+    }
+
+    /// Every part says where the sensors stand.
+    fn begin_part(&mut self, now: Stamp) -> Result<(), RecordError> {
+        let mounts = ros::mount_transforms(&self.sensors, now);
+        self.put("/tf_static", 0, now, now.wall_ns, &mounts)
+    }
+
+    /// Messages and bytes so far.
+    pub fn written(&self) -> (u64, u64) {
+        (self.message_count, self.volume.written())
+    }
+
+    pub fn flush(&mut self) -> Result<(), RecordError> {
+        self.volume.flush()
+    }
+
+    pub fn finish(&mut self) -> Result<(), RecordError> {
+        self.volume.finish()
+    }
+
+    /// Writes something small.
+    pub fn note(&mut self, now: Stamp, note: &Note) -> Result<(), RecordError> {
+        match note {
+            Note::Step(step) => self.wire(PIPELINE, "", step.sequence, now, step.t_wall_ns, step)?,
+            Note::Command(command) => {
+                let sequence = command.sequence;
+                self.wire(COMMAND, ros::BASE_FRAME, sequence, now, command.t_wall_ns, command)?;
+                let twist = ros::command_twist(command);
+                self.put("/noctule/cmd_vel", sequence, now, command.t_wall_ns, &twist)?;
+            }
+            Note::Cues(cues) => self.wire("/noctule/cues", "", cues.sequence, now, cues.t_wall_ns, cues)?,
+            Note::Input(input) => {
+                self.wire("/noctule/input", ros::BASE_FRAME, input.sequence, now, input.t_wall_ns, input)?;
+            }
+            Note::Operator(asked) => {
+                self.wire("/noctule/operator", "", asked.sequence, now, asked.t_wall_ns, asked)?;
+            }
+            Note::Odometry(odometry) => {
+                let (sequence, at) = (odometry.sequence, odometry.t_wall_ns);
+                self.wire("/noctule/odometry", ros::ODOMETRY_FRAME, sequence, now, at, odometry)?;
+                self.put("/tf", sequence, now, at, &ros::odometry_transform(odometry))?;
+            }
+            Note::Platform(platform) => {
+                let (sequence, at) = (platform.sequence, platform.t_wall_ns);
+                self.wire("/noctule/platform", ros::BASE_FRAME, sequence, now, at, platform)?;
+                self.put("/noctule/platform_vel", sequence, now, at, &ros::platform_twist(platform))?;
+            }
+            Note::Health(health) => {
+                self.wire("/noctule/health", "", health.ping_set_count, now, health.t_wall_ns, health)?;
+                let diagnostics = ros::health_diagnostics(health);
+                self.put("/diagnostics", health.ping_set_count, now, health.t_wall_ns, &diagnostics)?;
+            }
+        }
+        self.next_part(now)
+    }
+
+    /// Writes a ping set: raw pings, what the pipeline was told, images, axes and scans.
+    pub fn slot(&mut self, now: Stamp, slot: &mut Slot) -> Result<(), RecordError> {
+        for index in (0..self.sensors.len()).filter(|index| slot.pings.present[*index]) {
+            self.raw_ping(now, slot, index)?;
+        }
+        if let Some(step) = &slot.step {
+            self.wire(PIPELINE, "", step.sequence, now, step.t_wall_ns, step)?;
+        }
+        for index in (0..self.sensors.len()).filter(|index| slot.imaged[*index]) {
+            self.image(now, slot, index)?;
+        }
+        self.next_part(now)
+    }
+
+    fn raw_ping(&mut self, now: Stamp, slot: &Slot, index: usize) -> Result<(), RecordError> {
+        let ping = &slot.pings.pings[index];
+        let (channel_count, data): (usize, &[u8]) = match &*ping.samples {
+            Samples::Pdm(words) => (self.sensors[index].array.channel_count(), bytemuck::cast_slice(words)),
+            Samples::PcmI16(values) => (values.len() / self.format.samples.max(1), bytemuck::cast_slice(values)),
+            Samples::PcmF32(values) => (values.len() / self.format.samples.max(1), bytemuck::cast_slice(values)),
+        };
+        let wire = RawHeader {
+            version: HEADER_VERSION,
+            sensor_index: index as u32,
+            sequence: ping.sequence,
+            t_monotonic_ns: ping.emitted_at.boottime_ns,
+            t_wall_ns: ping.emitted_at.wall_ns,
+            sample_rate_hz: self.format.sample_rate_hz,
+            channel_count: channel_count as u32,
+            sample_count: self.format.samples as u32,
+            format: format_number(ping.samples.format()),
+            ..RawHeader::blank()
+        };
+        let header = Header::new(wire.t_wall_ns, ros::sensor_frame(&self.sensors[index].name));
+        let message = RawPingMessage { header, wire, data: Octets(data) };
+        let topic = std::mem::take(&mut self.topics[index].raw);
+        let put = self.put(&topic, ping.sequence, now, ping.emitted_at.wall_ns, &message);
+        self.topics[index].raw = topic;
+        put
+    }
+
+    fn image(&mut self, now: Stamp, slot: &Slot, index: usize) -> Result<(), RecordError> {
+        let (image, header, name) = (&slot.images[index], &slot.headers[index], self.sensors[index].name.clone());
+        let (sequence, at) = (image.sequence, image.emitted_at.wall_ns);
+        let SensorTopics { image: image_topic, info, scan: scan_topic, .. } = &self.topics[index];
+        let (image_topic, info, scan_topic) = (image_topic.clone(), info.clone(), scan_topic.clone());
+        self.wire(&info, &ros::sensor_frame(&name), sequence, now, at, header)?;
+        self.put(&image_topic, sequence, now, at, &ros::energyscape_image(header, &image.values, &name))?;
+        if let Some(scanner) = self.scanners.get_mut(index) {
+            scanner(image, &mut self.scans[index]);
+            if let Some(scan) = ros::laser_scan(&self.scans[index], &name, self.period_s) {
+                self.put(&scan_topic, sequence, now, at, &scan)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn wire<T: WireType>(
+        &mut self,
+        topic: &str,
+        frame: &str,
+        sequence: u64,
+        now: Stamp,
+        publish_ns: u64,
+        wire: &T,
+    ) -> Result<(), RecordError> {
+        let message = WireMessage { header: Header::new(publish_ns, frame), wire: *wire };
+        self.put(topic, sequence, now, publish_ns, &message)
+    }
+
+    fn put<M: Message>(
+        &mut self,
+        topic: &str,
+        sequence: u64,
+        now: Stamp,
+        publish_ns: u64,
+        message: &M,
+    ) -> Result<(), RecordError> {
+        if let Err(error) = ros::encode_into(message, &mut self.bytes) {
+            log::warn!("{topic}: {error}");
+            return Ok(());
+        }
+        self.message_count += 1;
+        let schema = || (M::type_name(), M::schema());
+        self.volume.file().write(topic, schema, sequence, [now.wall_ns, publish_ns], &self.bytes)
+    }
+
+    fn next_part(&mut self, now: Stamp) -> Result<(), RecordError> {
+        if self.volume.split(now.wall_ns)? { self.begin_part(now) } else { Ok(()) }
+    }
+}
