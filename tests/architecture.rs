@@ -45,9 +45,11 @@ const MAY_IMPORT: &[(&str, &[&str])] = &[
             "parameter",
         ],
     ),
+    ("view", &["config", "io", "signal", "sensor", "geometry", "control", "time", "parameter"]),
     (
         "cli",
         &[
+            "view",
             "life",
             "config",
             "imaging",
@@ -192,6 +194,9 @@ fn each_foreign_library_has_its_own_door() {
         ("wgpu", &["src/imaging/gpu/"]),
         ("iceoryx2", &["src/io/"]),
         ("clap", &["src/cli", "src/main.rs", "src/bin/"]),
+        ("axum", &["src/view/"]),
+        ("hyper", &["src/view/"]),
+        ("tokio", &["src/view/"]),
         ("rustfft", &["src/imaging/cpu/", "src/imaging/plan", "src/imaging/direct_path/template", "src/sim/"]),
     ];
     let mut wrong = Vec::new();

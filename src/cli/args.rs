@@ -2,9 +2,13 @@
 
 mod detect;
 mod simulate;
+#[cfg(feature = "view")]
+mod view;
 
 pub use detect::{DetectArguments, DetectorArgument};
 pub use simulate::{ConditionArguments, SimulateArguments};
+#[cfg(feature = "view")]
+pub use view::ViewArguments;
 
 use super::bench::Case;
 use super::process::Shard;
@@ -65,6 +69,9 @@ pub enum Command {
     Topics(TopicsArguments),
     /// Print what passes on a topic.
     Echo(EchoArguments),
+    /// Serve the live page: energyscapes, regions, command and why, in a browser; metrics; Foxglove.
+    #[cfg(feature = "view")]
+    View(ViewArguments),
     /// Check a configuration, world or recording and say what is wrong with it.
     Check(CheckArguments),
     /// Print the configuration in force, or the built-in one.
@@ -109,7 +116,7 @@ pub struct ConfigChoice {
 pub struct DemoArguments {
     #[command(flatten)]
     pub choice: ConfigChoice,
-    /// No status line: print the summary only.
+    /// No status line and no live page: print the summary only.
     #[arg(long)]
     pub headless: bool,
     /// End after this many seconds from the first ping set; until Ctrl-C without it.

@@ -16,6 +16,8 @@ mod run;
 mod simulate;
 mod soak;
 mod topics;
+#[cfg(feature = "view")]
+mod view;
 
 pub use args::{Arguments, Command};
 
@@ -157,6 +159,8 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Detect(arguments) => detect::detect(&arguments),
         Command::Topics(arguments) => topics::topics(&arguments),
         Command::Echo(arguments) => topics::echo(&arguments),
+        #[cfg(feature = "view")]
+        Command::View(arguments) => view::view(&arguments),
         Command::Check(arguments) => check::check(&arguments),
         Command::Config(arguments) => config::config(&arguments),
     }

@@ -6,7 +6,7 @@
 //! | [`wire`] | the types on them |
 //! | [`node`], `session`, `ports`, `watch` | set-up, ports, a way out of a hang |
 //! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
-//! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`] | who publishes and listens to what |
+//! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`view_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`source`] | where ping sets come from |
 //! | [`recording_file`], [`picture`], [`plot`], [`plot_layouts`] | files in, pictures out |
@@ -32,6 +32,7 @@ mod session;
 pub mod source;
 pub mod status_topics;
 pub mod topics;
+pub mod view_topics;
 mod watch;
 pub mod wire;
 
@@ -45,6 +46,7 @@ pub use node::Ipc;
 pub use params::IpcParams;
 pub use raw_topics::{LiveTopics, RawPublisher, RawRefusal, RawShape};
 pub use status_topics::StatusTopics;
+pub use view_topics::ViewTopics;
 
 use std::hash::{BuildHasher, Hasher};
 
