@@ -45,7 +45,7 @@ const MAY_IMPORT: &[(&str, &[&str])] = &[
             "parameter",
         ],
     ),
-    ("view", &["config", "io", "signal", "sensor", "geometry", "control", "time", "parameter"]),
+    ("view", &["config", "io", "detect", "flow", "signal", "sensor", "geometry", "control", "time", "parameter"]),
     (
         "cli",
         &[

@@ -8,6 +8,7 @@
 //! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`view_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
+//! | [`ros`] | our nouns as ROS 2 messages |
 //! | [`source`] | where ping sets come from |
 //! | [`recording_file`], [`picture`], [`plot`], [`plot_layouts`] | files in, pictures out |
 
@@ -28,6 +29,7 @@ mod probe;
 pub mod raw_topics;
 pub mod recording_file;
 mod root;
+pub mod ros;
 mod session;
 pub mod source;
 pub mod status_topics;

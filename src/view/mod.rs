@@ -8,6 +8,7 @@
 //! | [`access`] | token, session, Host and Origin: who may look |
 //! | [`server`], `page` | connections within limits, files and sockets of the page |
 //! | [`metrics`] | the page of numbers |
+//! | `foxglove` | the protocol of Foxglove and Lichtblick |
 //!
 //! Goes in: the topics and the configuration that the daemon uses. Comes out: HTTP. Looks only: it publishes nothing, commands
 //! nothing, and is a process of its own, so that nobody's browser is in the way of the robot. The only place that names axum,
@@ -15,6 +16,7 @@
 
 pub mod access;
 pub mod board;
+mod foxglove;
 mod listener;
 pub mod metrics;
 mod page;

@@ -54,9 +54,15 @@ pub(super) const ASSETS: [Asset; 7] = [
     Asset { path: "/icon.svg", kind: "image/svg+xml", content: include_str!("assets/icon.svg") },
 ];
 
-/// The page.
-pub(super) async fn index() -> Response {
-    INDEX.response()
+/// The page; for a player that asks to upgrade, its socket.
+pub(super) async fn index(
+    State(shared): State<Arc<Shared>>,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Response {
+    match upgrade {
+        Ok(upgrade) => super::foxglove::accept(shared, upgrade),
+        Err(_) => INDEX.response(),
+    }
 }
 
 /// The page's socket.

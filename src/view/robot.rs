@@ -4,10 +4,12 @@
 //! polygons, so that whoever draws needs no geometry. Never reads a topic.
 
 use crate::config::Config;
+use crate::control::params::EnergyParams;
 use crate::control::{ControlParams, PlatformLimits};
 use crate::geometry::flow_lines::FlowLinesRegion;
 use crate::geometry::shape::Shape;
 use crate::parameter::ParameterError;
+use crate::sensor::SensorSetup;
 use crate::signal::{Direction, LayerName};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -52,6 +54,12 @@ pub struct Robot {
     pub directions: Vec<Direction>,
     /// Farthest range that is imaged.
     pub range_max_m: f64,
+    /// Time between ping sets.
+    pub period_s: f64,
+    /// What counts as an echo.
+    pub energy: EnergyParams,
+    /// The sensors as they stand on the robot.
+    pub setups: Vec<SensorSetup>,
     platform: PlatformLimits,
     regions: Vec<Region>,
     flow_lines: Vec<FlowLinesRegion>,
@@ -67,7 +75,7 @@ impl Robot {
         let setups = config.sensor_setups()?;
         let directions = config.directions()?;
         let zones = config.dead_zones(&setups, &directions);
-        let sensor = |(setup, zone): (&crate::sensor::SensorSetup, crate::sensor::DeadZone)| {
+        let sensor = |(setup, zone): (&SensorSetup, crate::sensor::DeadZone)| {
             let pose = setup.mount.pose();
             Sensor {
                 name: setup.name.clone(),
@@ -78,10 +86,14 @@ impl Robot {
             }
         };
         let flow = &config.control.flow_following;
+        let sensors = setups.iter().zip(zones).map(sensor).collect();
         Ok(Self {
-            sensors: setups.iter().zip(zones).map(sensor).collect(),
+            sensors,
             directions,
             range_max_m: config.imaging.range_max_m,
+            period_s: 1.0 / config.control.rate_hz,
+            energy: config.control.energy.clone(),
+            setups,
             platform: config.platform,
             regions: regions(&config.control),
             flow_lines: if flow.enabled { flow.regions.clone() } else { Vec::new() },

@@ -4,11 +4,11 @@
 //! Goes in: the configuration and where to listen. Comes out: the page until it is asked to stop. Every request is judged by
 //! [`Access`] before anything else is done with it.
 
-use super::access::{Access, Purpose, TokenError, Verdict};
+use super::access::{Access, Purpose, TokenError, Verdict, random_secret};
 use super::board::{Audience, Reader};
 use super::listener::Listener;
 use super::robot::Robot;
-use super::{metrics, page};
+use super::{foxglove, metrics, page};
 use crate::config::Config;
 use crate::io::{Ipc, IpcError};
 use crate::parameter::ParameterError;
@@ -103,6 +103,8 @@ pub(super) struct Shared {
     pub(super) robot: Arc<Robot>,
     pub(super) reader: Reader,
     pub(super) audience: Arc<Audience>,
+    /// Tells players that another process serves them now.
+    pub(super) session: String,
 }
 
 /// A page that listens and is not served yet.
@@ -128,7 +130,7 @@ impl ViewServer {
         let audience = Arc::new(Audience::default());
         let listener = Listener::new(ipc, Arc::clone(&robot), Arc::clone(&audience));
         let reader = listener.board.reader();
-        let shared = Arc::new(Shared { access, robot, reader, audience });
+        let shared = Arc::new(Shared { access, robot, reader, audience, session: random_secret()? });
         Ok(Self { socket, address, listener, shared })
     }
 
@@ -200,6 +202,7 @@ fn router(shared: &Arc<Shared>) -> Router {
     let mut router = Router::new()
         .route("/", get(page::index))
         .route("/live", get(page::live))
+        .route("/foxglove", get(foxglove::player))
         .route("/metrics", get(metrics::metrics))
         .route("/healthz", get(metrics::healthz));
     for asset in &page::ASSETS {

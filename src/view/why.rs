@@ -106,12 +106,17 @@ fn standstill(command: &VelocityCommand) -> String {
     format!("The daemon keeps the robot still: {state}, {reason}.")
 }
 
+/// What was compared. A layer that has fired holds on below its threshold, until its release.
+fn compared(command: &VelocityCommand) -> String {
+    let (energy, threshold) = (energy_words(command.cause_energy), energy_words(command.cause_threshold));
+    if command.cause_energy <= command.cause_threshold {
+        return format!("energy {energy}; it fired above {threshold} and has not let go yet");
+    }
+    format!("energy {energy} against a threshold of {threshold}")
+}
+
 fn echo(command: &VelocityCommand, robot: &Robot) -> String {
-    let compared = format!(
-        "energy {} against a threshold of {}",
-        energy_words(command.cause_energy),
-        energy_words(command.cause_threshold)
-    );
+    let compared = compared(command);
     if command.cause_sensor == NO_SENSOR {
         return format!("its region is loud ({compared})");
     }
@@ -124,11 +129,7 @@ fn echo(command: &VelocityCommand, robot: &Robot) -> String {
 }
 
 fn walls(command: &VelocityCommand, cues: Option<&Cues>) -> String {
-    let compared = format!(
-        "energy {} against a threshold of {}",
-        energy_words(command.cause_energy),
-        energy_words(command.cause_threshold)
-    );
+    let compared = compared(command);
     let laterals = cues.map_or(&[][..], |cues| {
         let count = (cues.wall_count as usize).min(cues.wall_lateral_m.len());
         &cues.wall_lateral_m[..count]
@@ -191,6 +192,14 @@ mod tests {
             "Obstacle avoidance: the robot drives at 0.30 m/s and turns right at 0.50 rad/s, since left hears an echo at \
              0.42 m, 12° to the left (energy 0.85 against a threshold of 0.30)."
         );
+    }
+
+    #[test]
+    fn a_layer_that_holds_on_below_its_threshold_is_not_said_to_be_above_it() {
+        let mut held = command(LayerName::CollisionAvoidance);
+        held.cause_energy = 0.15;
+        let text = why(&held, None, &robot());
+        assert!(text.contains("energy 0.15; it fired above 0.30 and has not let go yet"), "{text}");
     }
 
     #[test]

@@ -147,7 +147,9 @@ export class Plan {
       context.beginPath();
       [[-0.05, -0.058], [0, -0.058], [0, 0.058], [-0.05, 0.058]].forEach(([a, l], i) => context[i ? "lineTo" : "moveTo"](...along(a, l)));
       context.fill();
-      label(context, sensor.name, ...along(0.1 * this.reach / 2.5 + 0.05, 0));
+      // Beside the boresight, where the command's arrow does not lie.
+      const [x, y] = along(22 * dot / this.scale, Math.abs(sensor.heading_rad) < 0.4 ? 30 * dot / this.scale : 0);
+      label(context, sensor.name, x, y);
     }
   }
 
@@ -170,7 +172,10 @@ export class Plan {
     context.beginPath();
     context.arc(...to, 9 * dot, 0, 2 * Math.PI);
     context.stroke();
-    label(context, `${cause.range_m.toFixed(2)} m`, to[0], to[1] - 19 * dot, TONES[command.layer] || INK);
+    // Away from the robot, where no sensor's name stands.
+    const [dx, dy] = [to[0] - this.origin[0], to[1] - this.origin[1]];
+    const away = 27 * dot / Math.max(Math.hypot(dx, dy), 1);
+    label(context, `${cause.range_m.toFixed(2)} m`, to[0] + 1.25 * dx * away, to[1] + dy * away, TONES[command.layer] || INK);
   }
 
   /** The way of the next two seconds, as commanded and as the platform is told. */

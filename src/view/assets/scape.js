@@ -2,7 +2,7 @@
 //
 // What a sensor cannot see is hatched and never has the colour of silence; what holds no number is magenta.
 
-export const LOW_DB = -90;
+export const LOW_DB = -70;
 export const HIGH_DB = -20;
 export const GROUND = "#0a0e13";
 export const INK = "#e8eef3";
@@ -146,8 +146,10 @@ export function label(context, text, x, y, colour = INK, align = "center") {
 
 /** Greys out a picture that is not of now, and says so. */
 export function veil(context, text, width, height, dot) {
+  context.globalCompositeOperation = "source-atop";
   context.fillStyle = "rgba(10, 14, 19, .62)";
   context.fillRect(0, 0, width, height);
+  context.globalCompositeOperation = "source-over";
   context.font = `650 ${14 * dot}px system-ui, sans-serif`;
   context.dotSize = dot;
   label(context, text, width / 2, height / 2, "#ff9d96");
