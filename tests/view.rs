@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::net::{TcpListener, TcpStream};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use tungstenite::Message;
 use view_rig::{LIMIT, Served, Socket, Speakers, Word, exchange, next_word, state_until};
@@ -58,10 +58,14 @@ fn without_a_daemon_everything_says_so() {
 }
 
 #[test]
-fn what_is_published_is_shown_and_another_start_of_the_daemon_too() {
+fn what_is_published_is_shown_and_other_starts_of_the_daemon_too_even_after_a_wipe() {
     let served = Served::new();
     let mut socket = served.socket("/live", &[]).expect("socket");
-    for _ in 0..2 {
+    for start in 0..3 {
+        if start == 2 {
+            // Somebody takes all files away, those that the page holds open too.
+            noctule::io::wipe(&served.place.params).expect("wiped");
+        }
         let mut speakers = Speakers::new(&served.place);
         let epoch = format!("{:016x}", speakers.daemon.epoch());
         speakers.until(|| served.metric("noctule_daemon_up") == Some(1.0));
@@ -89,7 +93,7 @@ fn what_is_published_is_shown_and_another_start_of_the_daemon_too() {
         assert_eq!(image[48 + 120 * ranges + 50], 201, "-20 dBFS in half decibels from -120");
         assert_eq!(image[48 + 120 * ranges + 60], 41, "-100 dBFS");
     }
-    assert_eq!(served.metric("noctule_daemon_restarts_total"), Some(1.0));
+    assert_eq!(served.metric("noctule_daemon_restarts_total"), Some(2.0));
 }
 
 /// Reads the text format as its description says, by itself: families with their kind, and samples below them.
@@ -265,28 +269,34 @@ fn states_of(reader: &mut Socket) -> usize {
     count
 }
 
-/// Ping sets every 50 ms in another thread until the flag is set.
-fn speak(mut speakers: Speakers, stop: &Arc<AtomicBool>) -> std::thread::JoinHandle<Speakers> {
-    let stop = Arc::clone(stop);
-    std::thread::spawn(move || {
+/// Ping sets every 50 ms in another thread until the flag is set, counted.
+fn speak(mut speakers: Speakers, stop: &Arc<AtomicBool>) -> (Arc<AtomicU64>, std::thread::JoinHandle<Speakers>) {
+    let (stop, count) = (Arc::clone(stop), Arc::new(AtomicU64::new(0)));
+    let counter = Arc::clone(&count);
+    let speaking = std::thread::spawn(move || {
         while !stop.load(Ordering::Relaxed) {
             speakers.ping_set();
+            counter.fetch_add(1, Ordering::Relaxed);
             std::thread::sleep(Duration::from_millis(50));
         }
         speakers
-    })
+    });
+    (count, speaking)
 }
 
 #[test]
 fn a_stalled_browser_delays_no_other_and_gets_the_newest_when_it_wakes() {
     let served = Served::new();
     let stop = Arc::new(AtomicBool::new(false));
-    let speaking = speak(Speakers::new(&served.place), &stop);
+    let (published, speaking) = speak(Speakers::new(&served.place), &stop);
     // Reads nothing and says nothing.
     let mut stalled = served.socket("/live", &[]).expect("socket");
     let mut reader = served.socket("/live", &[]).expect("socket");
-    let count = states_of(&mut reader);
-    assert!(count >= 15, "{count} states in two seconds of twenty ping sets a second");
+    let before = published.load(Ordering::Relaxed);
+    let count = states_of(&mut reader) as u64;
+    let meanwhile = published.load(Ordering::Relaxed) - before;
+    // A loaded machine puts two ping sets into one state now and then.
+    assert!(2 * count >= meanwhile, "{count} states of {meanwhile} ping sets");
     // What waits for the stalled one is two states at most, then the newest.
     let mut kinds = Vec::new();
     while kinds.len() < 2 {
@@ -298,7 +308,7 @@ fn a_stalled_browser_delays_no_other_and_gets_the_newest_when_it_wakes() {
     stalled.send(Message::text("ok")).expect("said");
     let newest = state_until(&mut stalled, |_| true)["command"]["sequence"].as_u64().expect("sequence");
     let before = kinds[1].unwrap_or(0);
-    assert!(newest > before + 15, "{before}, then {newest}: what was missed is not sent late");
+    assert!(2 * (newest - before) >= meanwhile, "{before}, then {newest}: what was missed is not sent late");
     stop.store(true, Ordering::Relaxed);
     drop(speaking.join().expect("spoke"));
 }
@@ -333,7 +343,8 @@ fn a_server_that_waits_for_its_slowest_client_is_seen() {
     let mut reader = connect();
     let count = states_of(&mut reader);
     stop.store(true, Ordering::Relaxed);
-    assert!(count < 15, "{count}: the fault was not seen");
+    // The judge above would have asked for half of what was tried, forty in two seconds.
+    assert!(2 * count < 40, "{count}: the fault was not seen");
     drop(reader);
     serving.join().expect("served");
 }

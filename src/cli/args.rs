@@ -8,7 +8,7 @@ mod view;
 pub use detect::{DetectArguments, DetectorArgument};
 pub use simulate::{ConditionArguments, SimulateArguments};
 #[cfg(feature = "view")]
-pub use view::ViewArguments;
+pub use view::{DEFAULT_LISTEN, ViewArguments};
 
 use super::bench::Case;
 use super::process::Shard;

@@ -71,8 +71,12 @@ impl Listener {
 
     /// Opens what is not open, and lets go of what was taken away.
     fn look_after(&mut self, topics: Option<ViewTopics>) -> Option<ViewTopics> {
-        if let Some(topics) = topics.filter(ViewTopics::is_intact) {
-            return Some(topics);
+        if let Some(topics) = topics {
+            if topics.is_intact() {
+                return Some(topics);
+            }
+            // Its end would take away the files that others made anew under the same names.
+            std::mem::forget(topics);
         }
         let opened = ViewTopics::open(&self.ipc, &self.robot.sensor_names());
         self.board.trouble(opened.as_ref().err().map(IpcError::to_string));

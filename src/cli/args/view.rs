@@ -4,6 +4,9 @@ use super::ConfigChoice;
 use clap::Args;
 use std::net::SocketAddr;
 
+/// Where the page listens without another wish.
+pub const DEFAULT_LISTEN: &str = "127.0.0.1:8765";
+
 /// `view`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -18,7 +21,7 @@ pub struct ViewArguments {
     #[command(flatten)]
     pub choice: ConfigChoice,
     /// Address and port to listen on; port 0 takes any free one.
-    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8765")]
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = DEFAULT_LISTEN)]
     pub listen: SocketAddr,
     /// Token to ask for, 16 to 256 letters and digits; other users of this machine can see it in the list of processes.
     /// Elsewhere than on loopback one is made without it.

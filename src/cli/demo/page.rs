@@ -1,7 +1,7 @@
 //! The live page beside a demo: a child that the demo starts, names the address of, and ends. Whatever happens to it, the demo
 //! goes on.
 
-use super::super::args::DemoArguments;
+use super::super::args::{DEFAULT_LISTEN, DemoArguments};
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -47,9 +47,11 @@ impl Page {
         Ok(Self { child, address })
     }
 
-    /// Its address, once.
+    /// Its address, once; with a word when it is not the usual one.
     pub(super) fn address(&self) -> Option<String> {
-        self.address.try_recv().ok()
+        let address = self.address.try_recv().ok()?;
+        let usual = address.contains(DEFAULT_LISTEN);
+        Some(if usual { address } else { format!("{address} ({DEFAULT_LISTEN} is in use)") })
     }
 }
 
