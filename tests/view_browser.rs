@@ -214,7 +214,7 @@ fn beside_the_demo_the_page_shows_the_robot_and_why_it_moves() {
     let mut browser = Browser::start(program);
     browser.open(&demo.url, 1440, 900);
     // Whether it drives is the daemon's affair, and on a loaded machine it may refuse to; it is heard in any state.
-    let live = "document.body.dataset.fresh === 'true' && /^(READY|ACTIVE|DEGRADED|STOPPED)$/.test(document.getElementById('daemon-state').textContent) && document.querySelectorAll('.fan').length === 3";
+    let live = "document.body?.dataset.fresh === 'true' && /^(READY|ACTIVE|DEGRADED|STOPPED)$/.test(document.getElementById('daemon-state')?.textContent) && document.querySelectorAll('.fan').length === 3";
     browser.until("the robot is live", live);
     browser.until(
         "three pictures",
