@@ -8,8 +8,9 @@ use noctule::view::board::Moment;
 use noctule::view::metrics::{exposition, verdict};
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::io::Write as _;
-use std::net::{TcpListener, TcpStream};
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -246,6 +247,37 @@ fn silent_connections_are_closed_and_keep_nobody_out_for_long() {
         std::thread::sleep(Duration::from_millis(200));
     }
     drop(silent);
+}
+
+#[test]
+fn the_command_refuses_what_cannot_be_and_ends_with_its_parent_leaving_nothing() {
+    let place = ipc_rig::Place::new();
+    let command = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_noctule"));
+        command.arg("view").args(arguments).arg("--config").arg(place.config_file());
+        command
+    };
+    let refused = |arguments: &[&str]| {
+        let output = command(arguments).output().expect("ran");
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, text) = refused(&["--token", "short"]);
+    assert!(code == Some(2) && text.contains("allowed: 16 to 256"), "{code:?} {text}");
+    let taken = TcpListener::bind("127.0.0.1:0").expect("bound");
+    let address = taken.local_addr().expect("address").to_string();
+    let (code, text) = refused(&["--listen", &address]);
+    assert!(code == Some(69) && text.contains(&address) && text.contains("takes any free port"), "{code:?} {text}");
+
+    let mut page = command(&["--with-parent", "--listen", &address]);
+    let mut page = page.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("page");
+    let mut url = String::new();
+    BufReader::new(page.stdout.take().expect("pipe")).read_line(&mut url).expect("its address");
+    let found: SocketAddr = url.trim().trim_start_matches("http://").trim_end_matches('/').parse().expect("an address");
+    assert_ne!(found.to_string(), address, "another port than the one in use");
+    assert_eq!(exchange(found, &format!("GET /healthz HTTP/1.1\r\nHost: {found}\r\nConnection: close\r\n\r\n")).0, 503);
+    drop(page.stdin.take());
+    assert_eq!(ipc_rig::wait_for(&mut page, LIMIT).code(), Some(0));
+    assert_eq!(place.left_behind(), Vec::<String>::new());
 }
 
 /// States that arrive at `reader` within two seconds.

@@ -230,9 +230,9 @@ mod tests {
     #[test]
     fn a_limit_by_what_is_seen_a_robot_that_is_stuck_and_broken_numbers_are_told() {
         let mut limited = command(LayerName::PassThrough);
-        (limited.speed_limit_m_s, limited.stuck) = (0.3, 1);
+        (limited.linear_m_s, limited.speed_limit_m_s, limited.stuck) = (0.2, 0.2, 1);
         let text = why(&limited, None, &robot());
-        assert!(text.contains("allows 0.30 m/s at most") && text.contains("no progress"), "{text}");
+        assert!(text.contains("allows 0.20 m/s at most") && text.contains("no progress"), "{text}");
         limited.linear_m_s = f64::NAN;
         limited.layer = 99;
         assert!(why(&limited, None, &robot()).contains("is told no number"));
