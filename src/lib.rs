@@ -31,6 +31,7 @@
 //! | [`config`] | one TOML file to parameters | hold a default of its own where a module has one |
 //! | [`life`] | signals, panics, the service manager, the log: how a process of the robot lives and ends | know of sonar |
 //! | [`service`] | the daemon: wiring, threads, health; the proving ground: many daemons in simulation | hold science |
+//! | `view` | the live page, metrics, Foxglove: a process that only looks | publish, command |
 //!
 //! Inside [`sim`], `echo/` makes the signals, a file for each piece of physics, which is where to look what is simulated and how
 //! well: `path` (mirror images, corners, multipath), `edge`, `cylinder`, `directivity`, `air`, `sight` (what hides what),
@@ -84,5 +85,7 @@ pub mod service;
 pub mod signal;
 pub mod sim;
 pub mod time;
+#[cfg(feature = "view")]
+pub mod view;
 
 pub use config::Config;

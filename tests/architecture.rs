@@ -46,9 +46,11 @@ const MAY_IMPORT: &[(&str, &[&str])] = &[
             "parameter",
         ],
     ),
+    ("view", &["config", "io", "detect", "flow", "signal", "sensor", "geometry", "control", "time", "parameter"]),
     (
         "cli",
         &[
+            "view",
             "life",
             "config",
             "imaging",
@@ -194,6 +196,9 @@ fn each_foreign_library_has_its_own_door() {
         ("iceoryx2", &["src/io/"]),
         ("mcap", &["src/io/record/"]),
         ("clap", &["src/cli", "src/main.rs", "src/bin/"]),
+        ("axum", &["src/view/"]),
+        ("hyper", &["src/view/"]),
+        ("tokio", &["src/view/"]),
         ("rustfft", &["src/imaging/cpu/", "src/imaging/plan", "src/imaging/direct_path/template", "src/sim/"]),
     ];
     let mut wrong = Vec::new();

@@ -3,10 +3,14 @@
 mod detect;
 mod record;
 mod simulate;
+#[cfg(feature = "view")]
+mod view;
 
 pub use detect::{DetectArguments, DetectorArgument};
 pub use record::{RecordArguments, RecordingArguments, ReplayArguments};
 pub use simulate::{ConditionArguments, SimulateArguments};
+#[cfg(feature = "view")]
+pub use view::{DEFAULT_LISTEN, ViewArguments};
 
 use super::bench::Case;
 use super::process::Shard;
@@ -73,6 +77,9 @@ pub enum Command {
     Relay(RelayArguments),
     /// Print what passes on a topic.
     Echo(EchoArguments),
+    /// Serve the live page: energyscapes, regions, command and why, in a browser; metrics; Foxglove.
+    #[cfg(feature = "view")]
+    View(ViewArguments),
     /// Check a configuration, world or recording and say what is wrong with it.
     Check(CheckArguments),
     /// Print the configuration in force, or the built-in one.
@@ -117,7 +124,7 @@ pub struct ConfigChoice {
 pub struct DemoArguments {
     #[command(flatten)]
     pub choice: ConfigChoice,
-    /// No status line: print the summary only.
+    /// No status line and no live page: print the summary only.
     #[arg(long)]
     pub headless: bool,
     /// End after this many seconds from the first ping set; until Ctrl-C without it.

@@ -1,7 +1,11 @@
-//! `noctule demo`: daemon with simulator and controller as two processes, watched and summed up by this one.
+//! `noctule demo`: daemon with simulator and controller as two processes, watched and summed up by this one, and the live
+//! page as a third.
 //!
 //! The parent is what systemd is on a robot: it starts both, starts again what dies, and ends both. It only listens
 //! to the topics; what it prints is what any other process could print.
+
+#[cfg(feature = "view")]
+mod page;
 
 use super::args::DemoArguments;
 use super::output::print_line;
@@ -19,6 +23,20 @@ use serde_json::{Map, Value, json};
 use std::process::{Command, Stdio};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
+
+#[cfg(feature = "view")]
+use page::Page;
+
+/// The program was built without the page.
+#[cfg(not(feature = "view"))]
+struct Page;
+
+#[cfg(not(feature = "view"))]
+impl Page {
+    fn address(&self) -> Option<String> {
+        None
+    }
+}
 
 /// Pause between two looks at the topics: commands come every 100 ms, what the platform is told every 20 ms.
 const LOOK_PAUSE: Duration = Duration::from_millis(10);
@@ -42,8 +60,11 @@ pub fn demo(arguments: &DemoArguments) -> Result<(), Failure> {
     let mut tally = Tally::new(&config, recording_ns);
     let line = status_line(arguments);
     let ended = {
+        // Declared first and so ended last: nothing waits for it while the robot is to stop.
+        let mut page;
         let mut daemon = start_daemon(arguments)?;
         let mut controller = start_controller(arguments)?;
+        page = start_page(arguments)?;
         let begin = Instant::now();
         let mut first_set_at = None;
         loop {
@@ -71,15 +92,14 @@ pub fn demo(arguments: &DemoArguments) -> Result<(), Failure> {
                 (Watched::Finished, _) => break Ok(()),
                 (Watched::Stuck, _) | (_, Watched::Stuck) => {
                     // Ours go first: what is wiped must not be in use.
-                    drop(topics.take());
+                    drop((topics.take(), page.take()));
                     wipe_and_start_again(&config, &mut daemon, &mut controller)?;
                     topics = Some(open_status(&config)?);
+                    page = start_page(arguments)?;
                 }
                 _ => {}
             }
-            if let Some(line) = &line {
-                line.set_message(tally.status());
-            }
+            show(line.as_ref(), page.as_ref().and_then(Page::address), &tally);
             std::thread::sleep(LOOK_PAUSE);
         }
         // Counted up to here; then the controller ends first: it says zero while the daemon still speaks.
@@ -134,6 +154,31 @@ fn status_line(arguments: &DemoArguments) -> Option<ProgressBar> {
         line.set_style(style);
     }
     Some(line)
+}
+
+/// The status, and the page's address when it is told.
+fn show(line: Option<&ProgressBar>, address: Option<String>, tally: &Tally) {
+    if let Some(address) = address {
+        match line {
+            Some(line) => line.println(format!("live page: {address}")),
+            None => log::info!("live page: {address}"),
+        }
+    }
+    if let Some(line) = line {
+        line.set_message(tally.status());
+    }
+}
+
+/// The live page, unless nobody is to look.
+#[cfg(feature = "view")]
+fn start_page(arguments: &DemoArguments) -> Result<Option<Page>, Failure> {
+    let program = this_program()?;
+    Ok(if arguments.headless { None } else { Page::start(&program, arguments) })
+}
+
+#[cfg(not(feature = "view"))]
+fn start_page(_: &DemoArguments) -> Result<Option<Page>, Failure> {
+    Ok(None)
 }
 
 fn this_program() -> Result<std::path::PathBuf, Failure> {

@@ -18,6 +18,8 @@ mod run;
 mod simulate;
 mod soak;
 mod topics;
+#[cfg(feature = "view")]
+mod view;
 
 pub use args::{Arguments, Command};
 
@@ -162,6 +164,8 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Relay(arguments) => relay::relay(&arguments),
         Command::Topics(arguments) => topics::topics(&arguments),
         Command::Echo(arguments) => topics::echo(&arguments),
+        #[cfg(feature = "view")]
+        Command::View(arguments) => view::view(&arguments),
         Command::Check(arguments) => check::check(&arguments),
         Command::Config(arguments) => config::config(&arguments),
     }

@@ -8,6 +8,7 @@
 //! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`energyscape_reader`] | who publishes and listens to what |
 //! | [`c_header`], [`relay`] | the types for clients in C, copies for other machines |
+//! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`view_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`record`] | a run to MCAP and back |
 //! | [`ros`] | our nouns as ROS 2 messages |
@@ -40,6 +41,7 @@ mod session;
 pub mod source;
 pub mod status_topics;
 pub mod topics;
+pub mod view_topics;
 mod watch;
 pub mod wire;
 
@@ -55,6 +57,7 @@ pub use params::IpcParams;
 pub use raw_topics::{LiveTopics, RawPublisher, RawRefusal, RawShape};
 pub use relay::Relay;
 pub use status_topics::StatusTopics;
+pub use view_topics::ViewTopics;
 
 use std::hash::{BuildHasher, Hasher};
 
