@@ -1,6 +1,6 @@
 //! `noctule config`, and loading the configuration for every other command.
 
-use super::args::{ConfigArguments, ConfigChoice};
+use super::args::{ConfigAction, ConfigArguments, ConfigChoice};
 use super::output::print_line;
 use super::{Failure, exit};
 use crate::config::Config;
@@ -31,11 +31,18 @@ pub fn load_or_layout(choice: &ConfigChoice, layout: Option<&str>) -> Result<Con
     }
 }
 
-/// Prints the configuration in force with every default filled in; it loads again to an equal one.
+/// Prints the configuration in force with every default filled in, which loads again to an equal one; or the reference of all
+/// keys; or imports settings.
 ///
 /// # Errors
-/// Exit 78.
+/// Exit 78, and those of the import.
 pub fn config(arguments: &ConfigArguments) -> Result<(), Failure> {
+    if let Some(ConfigAction::Import(import)) = &arguments.action {
+        return super::import::import(import);
+    }
+    if arguments.reference {
+        return print_line(crate::config::reference().trim_end());
+    }
     let config = if arguments.default { Config::default() } else { load(&arguments.choice)? };
     let text = config.to_toml();
     print_line(text.trim_end())

@@ -9,12 +9,17 @@ mod check;
 mod config;
 mod demo;
 mod detect;
+mod doctor;
+mod documents;
+mod import;
 mod masks;
 mod output;
+mod plot;
 mod process;
 mod run;
 mod simulate;
 mod soak;
+mod status;
 mod topics;
 
 pub use args::{Arguments, Command};
@@ -28,7 +33,7 @@ use std::time::Duration;
 
 /// Exit codes of the specification.
 pub mod exit {
-    /// A finding of `check` or `soak`.
+    /// A finding of `check`, `doctor`, `status` or `soak`.
     pub const FINDING: u8 = 1;
     /// Usage.
     pub const USAGE: u8 = 2;
@@ -158,6 +163,11 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Topics(arguments) => topics::topics(&arguments),
         Command::Echo(arguments) => topics::echo(&arguments),
         Command::Check(arguments) => check::check(&arguments),
+        Command::Status(arguments) => status::status(&arguments),
+        Command::Doctor(arguments) => doctor::doctor(&arguments),
+        Command::Plot(arguments) => plot::plot(&arguments),
+        Command::Completions(arguments) => documents::completions(&arguments),
+        Command::Man(arguments) => documents::man(&arguments),
         Command::Config(arguments) => config::config(&arguments),
     }
 }

@@ -153,6 +153,11 @@ pub(super) fn comment(path: &str) -> Option<&'static str> {
     find(COMMENTS, path).or(shared)
 }
 
+/// Every path that has a comment of its own: keys and sections.
+pub(super) fn commented() -> impl Iterator<Item = &'static str> {
+    COMMENTS.iter().map(|(path, _)| *path)
+}
+
 /// Tables that are written in one line.
 const INLINE: [&str; 2] = ["mount", "directions"];
 

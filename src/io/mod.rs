@@ -8,6 +8,7 @@
 //! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
 //! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
+//! | [`survey`] | root, files and neighbours as seen from outside, for diagnosis |
 //! | [`source`] | where ping sets come from |
 //! | [`recording_file`], [`picture`], [`plot`], [`plot_layouts`] | files in, pictures out |
 
@@ -31,6 +32,7 @@ mod root;
 mod session;
 pub mod source;
 pub mod status_topics;
+pub mod survey;
 pub mod topics;
 mod watch;
 pub mod wire;
@@ -40,7 +42,7 @@ pub use clients::{ControllerTopics, InputPublisher, OperatorClient, PlatformSubs
 pub use daemon_topics::{DaemonTopics, LastWord};
 pub use echo::{Echo, EchoLimit};
 pub use error::IpcError;
-pub use files::wipe;
+pub use files::{free_bytes_of, wipe};
 pub use node::Ipc;
 pub use params::IpcParams;
 pub use raw_topics::{LiveTopics, RawPublisher, RawRefusal, RawShape};

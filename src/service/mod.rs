@@ -194,7 +194,7 @@ fn open_source(
             Ok(Box::new(SimulatorSource::open(simulator, ipc, rate_hz, setup.recording.duration_s())?))
         }
         SourceChoice::Replay(paths) => {
-            let words = wiring::words_per_ping(config);
+            let words = wiring::file_hints(config);
             Ok(Box::new(ReplaySource::open(paths, words, &empty_ping_set(setup), rate_hz)?))
         }
         SourceChoice::Live => {
