@@ -7,15 +7,21 @@ use iceoryx2::prelude::AttributeSpecifier;
 use ipc_rig::{Place, files_below, foreign_node, shared_memory_files, wait_for};
 use serde_json::Value;
 use std::os::unix::fs::PermissionsExt as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
+
+/// The place's configuration, written once: a process may just be reading it.
+fn config_of(place: &Place) -> PathBuf {
+    let path = place.directory.path().join("robot.toml");
+    if path.exists() { path } else { place.config_file() }
+}
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_noctule");
 
 fn run(place: &Place, arguments: &[&str]) -> Output {
     let begun = Instant::now();
-    let output = Command::new(PROGRAM).args(arguments).arg("--config").arg(place.config_file()).output().expect("runs");
+    let output = Command::new(PROGRAM).args(arguments).arg("--config").arg(config_of(place)).output().expect("runs");
     assert!(begun.elapsed() < Duration::from_secs(20), "{arguments:?} took {:?}", begun.elapsed());
     output
 }
@@ -46,7 +52,7 @@ struct Process(Child);
 impl Process {
     fn start(place: &Place, arguments: &[&str]) -> Self {
         let mut command = Command::new(PROGRAM);
-        command.arg("--quiet").args(arguments).arg("--config").arg(place.config_file());
+        command.arg("--quiet").args(arguments).arg("--config").arg(config_of(place));
         Self(command.stdout(Stdio::null()).spawn().expect("started"))
     }
 
@@ -91,7 +97,8 @@ fn a_driving_robot_is_well_and_a_stopped_one_is_told_with_its_reason() {
         if output.status.code() == Some(0) && json(&output)["controller"]["state"] == "TRACK" {
             break json(&output);
         }
-        assert!(Instant::now() < deadline, "{}", String::from_utf8_lossy(&output.stdout));
+        let talk = [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text));
+        assert!(Instant::now() < deadline, "{talk:?}");
     };
     assert_eq!((&report["daemon"]["state"], &report["backend"]), (&"ACTIVE".into(), &"cpu".into()));
     assert_eq!(report["daemon"]["process"], daemon.0.id());
@@ -103,6 +110,9 @@ fn a_driving_robot_is_well_and_a_stopped_one_is_told_with_its_reason() {
     );
     let who = &report["services"]["noctule/command"];
     assert!(who.as_array().is_some_and(|all| all.iter().any(|one| one["process"] == daemon.0.id())), "{who}");
+    let publishers = &report["publishers"];
+    assert_eq!(publishers["noctule/command"], serde_json::json!([daemon.0.id()]), "{publishers}");
+    assert_eq!(publishers["noctule/platform"], serde_json::json!([controller.0.id()]), "{publishers}");
     // The doctor looks at the same time, and nothing changes.
     let checked = json(&run(&place, &["doctor", "--json"]));
     assert!(about(&checked, "processes")[0].1.contains(&format!("daemon: process {}", daemon.0.id())), "{checked}");

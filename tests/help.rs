@@ -58,7 +58,8 @@ fn every_help_ends_with_examples_that_are_command_lines() {
     for (name, mut command) in commands {
         let help = command.render_long_help().to_string();
         assert!(help.contains("Examples:\n"), "{name} --help has no examples");
-        let examples = examples(&help);
+        // As it is written: a narrow terminal may break lines.
+        let examples = examples(&command.get_after_help().expect("examples at the end").to_string());
         assert!(!examples.is_empty(), "{name}");
         for example in examples {
             assert_eq!(refusal(&example), None, "{name}: {example}");

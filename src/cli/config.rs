@@ -4,6 +4,7 @@ use super::args::{ConfigAction, ConfigArguments, ConfigChoice};
 use super::output::print_line;
 use super::{Failure, exit};
 use crate::config::Config;
+use crate::document::{DocumentError, DocumentErrorKind};
 
 /// Loads the chosen configuration, or the built-in one, and logs its warnings.
 ///
@@ -12,12 +13,31 @@ use crate::config::Config;
 pub fn load(choice: &ConfigChoice) -> Result<Config, Failure> {
     let config = match &choice.config {
         None => Config::default(),
-        Some(path) => Config::load(path).map_err(|error| Failure::new(exit::CONFIG, error))?,
+        Some(path) => Config::load(path).map_err(|error| refused(&error))?,
     };
     for warning in config.warnings() {
         log::warn!("{warning}");
     }
     Ok(config)
+}
+
+/// Keys at the top of a world that a configuration has not.
+const OF_WORLDS: [&str; 6] = ["waypoints", "wall", "pillar", "mover", "start", "reach_m"];
+
+/// The failure for a configuration, with what to do where that is known.
+fn refused(error: &DocumentError) -> Failure {
+    let top = error.key.as_deref().map(|key| key.split(['.', '[']).next().unwrap_or(key));
+    let hint = match (error.kind, top) {
+        (DocumentErrorKind::Missing, _) => {
+            format!("; `noctule config --default > {}` makes one to start from", error.path.display())
+        }
+        (_, Some(key)) if OF_WORLDS.contains(&key) => {
+            "\nthis is a world, not a configuration: `noctule simulate WORLD`, `run --source sim:WORLD` or `demo --world WORLD`"
+                .to_owned()
+        }
+        _ => String::new(),
+    };
+    Failure::new(exit::CONFIG, format!("{error}{hint}"))
 }
 
 /// As [`load`], or one of the built-in sensor layouts if one is named.

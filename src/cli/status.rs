@@ -29,6 +29,8 @@ const LISTEN: Duration = Duration::from_millis(1_000);
 const LISTEN_LIMIT: Duration = Duration::from_millis(2_500);
 /// Pause between two looks at the topics.
 const LOOK_PAUSE: Duration = Duration::from_millis(5);
+/// Who only listens to raw pings.
+const LISTENERS: [&str; 4] = ["noctule-daemon", "noctule-live", "noctule-echo", "noctule-status"];
 /// Pause between two reports of `--watch`.
 const WATCH_PAUSE: Duration = Duration::from_millis(500);
 
@@ -46,6 +48,7 @@ struct Heard {
 struct Look<'a> {
     config: &'a Config,
     survey: Survey,
+    publishers: Vec<(String, Vec<u32>)>,
     heard: Heard,
     now: Stamp,
 }
@@ -97,7 +100,8 @@ fn take_look<'a>(config: &'a Config, stop: &AtomicBool) -> Result<Look<'a>, Fail
     let ipc = Ipc::open(&config.ipc).map_err(|error| ipc_failure(&error))?;
     let topics = StatusTopics::open(&ipc).map_err(|error| ipc_failure(&error))?;
     let heard = listen(&topics, stop);
-    Ok(Look { config, survey, heard, now: SystemClock.now() })
+    let publishers = topics.publishers().to_vec();
+    Ok(Look { config, survey, publishers, heard, now: SystemClock.now() })
 }
 
 fn listen(topics: &StatusTopics, stop: &AtomicBool) -> Heard {
@@ -152,12 +156,29 @@ impl Look<'_> {
         self.config.sensor.get(index as usize).map(|sensor| sensor.name.as_str())
     }
 
-    /// Processes on a service, by the names that they gave themselves.
-    fn participants(&self, service: &str) -> Vec<(String, u32)> {
-        let found = self.survey.services.iter().flatten().find(|found| found.name == service);
-        let alive = found.into_iter().flat_map(|found| &found.participants).filter(|one| one.alive);
-        let mut all: Vec<(String, u32)> = alive.map(|one| (one.name.clone(), one.process.unwrap_or(0))).collect();
-        all.sort();
-        all
+    /// Who published on each topic that leads to motion; on raw pings whoever is neither daemon nor listener.
+    fn publishers(&self) -> Vec<(String, String)> {
+        let services = || self.survey.services.iter().flatten();
+        let named = |process: &u32| {
+            let all = self.survey.participants.iter().flatten();
+            // A process may have several registrations; the shortest name is its own.
+            let name = all
+                .filter(|one| one.process == Some(*process))
+                .map(|one| one.name.as_str())
+                .min_by_key(|name| name.len());
+            format!("{} {process}", name.unwrap_or("process"))
+        };
+        let known = self.publishers.iter().map(|(service, processes)| {
+            let told: Vec<String> = processes.iter().map(named).collect();
+            (service.clone(), if told.is_empty() { "nobody".to_owned() } else { told.join(", ") })
+        });
+        let raw =
+            services().filter(|one| one.name.starts_with("noctule/sonar/") && !one.name.ends_with("/energyscape"));
+        let drivers = raw.map(|service| {
+            let others = service.participants.iter().filter(|one| one.alive && !LISTENERS.contains(&one.name.as_str()));
+            let told: Vec<String> = others.filter_map(|one| Some(format!("{} {}", one.name, one.process?))).collect();
+            (service.name.clone(), if told.is_empty() { "no driver".to_owned() } else { told.join(", ") })
+        });
+        known.chain(drivers).collect()
     }
 }

@@ -20,7 +20,7 @@ const OPTIONAL: [&str; 6] = [
     "sensor.mount.yaw_deg",
 ];
 /// Values that no number may have: what the reader says of them is the range.
-const TOO_FAR: [&str; 3] = ["1e300", "-1e300", "-1"];
+const TOO_FAR: [&str; 5] = ["1e300", "-1e300", "-1", "0", "9223372036854775807"];
 
 /// The reference as Markdown: a heading and a table for each section.
 #[must_use]
@@ -152,8 +152,9 @@ fn allowed(key: &str) -> String {
         return "shapes in the robot frame".to_owned();
     }
     let text = refusal(key, "\"?\"").filter(|said| said.starts_with('"') || said.contains("letters"));
-    let range =
-        || TOO_FAR.iter().find_map(|value| refusal(key, value)).filter(|said| !said.starts_with("a whole number, 0"));
+    // Of a whole number the reader says first that it is one.
+    let told = |value: &&str| refusal(key, value).filter(|said| !said.starts_with("a whole number, 0"));
+    let range = || TOO_FAR.iter().find_map(told);
     let said = text.or_else(range).unwrap_or_default();
     match said.as_str() {
         "a string" | "a number" | "a list: [...]" | "true or false" => String::new(),

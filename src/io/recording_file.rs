@@ -46,7 +46,7 @@ impl From<usize> for FileHints {
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// The file cannot be opened or read.
-    #[error("{}: {error}", path.display())]
+    #[error("{}: {}", path.display(), plain(error))]
     Io {
         /// The file.
         path: PathBuf,
@@ -75,6 +75,15 @@ pub enum RecordingError {
         /// Bytes of a ping.
         ping_bytes: u64,
     },
+}
+
+/// What the system said, in the words of every other error.
+fn plain(error: &std::io::Error) -> String {
+    match error.kind() {
+        std::io::ErrorKind::NotFound => format!("found no such file, allowed: {KINDS}"),
+        std::io::ErrorKind::PermissionDenied => "found a file that may not be read (permission denied)".to_owned(),
+        _ => format!("cannot be read: {error}"),
+    }
 }
 
 /// What a file says of its pings.
@@ -178,7 +187,7 @@ impl<R: Read> RecordingFile<R> {
             Some("mcap") => {
                 return Err(content(path, "an MCAP recording", format!("{KINDS} (MCAP is not read yet)")));
             }
-            _ => return Err(content(path, "another kind of file", format!("a name that ends as that of {KINDS}"))),
+            _ => return Err(content(path, "another kind of file", KINDS)),
         };
         Self::new(path, content, shape)
     }

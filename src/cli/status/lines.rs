@@ -2,9 +2,9 @@
 
 use super::Look;
 use super::advice::{self, Finding};
-use crate::io::topics;
 use crate::io::wire::message::{backend_name, layer_name};
 use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// Width of the first column.
@@ -29,8 +29,8 @@ impl Look<'_> {
             line(&mut text, "decision", &decision);
         }
         self.health_lines(&mut text);
-        for (service, participants) in self.publishers() {
-            line(&mut text, "on", &format!("{service}: {participants}"));
+        for (service, publishers) in self.publishers() {
+            line(&mut text, "publisher", &format!("{service}: {publishers}"));
         }
         let place = format!("{}, prefix {}", self.survey.root_path.display(), self.survey.prefix);
         line(&mut text, "place", &place);
@@ -123,20 +123,6 @@ impl Look<'_> {
         line(text, "backend", &format!("{backend}, {}{lost}", health.adapter_name()));
     }
 
-    /// Who is on the topics that lead to motion and on the raw pings.
-    fn publishers(&self) -> Vec<(String, String)> {
-        let shown = self.survey.services.iter().flatten().map(|service| service.name.as_str());
-        let raw = |name: &str| name.starts_with("noctule/sonar/") && !name.ends_with("/energyscape");
-        shown
-            .filter(|name| raw(name) || [topics::COMMAND, topics::PLATFORM, topics::INPUT].contains(name))
-            .map(|name| {
-                let all = self.participants(name);
-                let told: Vec<String> = all.iter().map(|(who, process)| format!("{who} {process}")).collect();
-                (name.to_owned(), if told.is_empty() { "nobody".to_owned() } else { told.join(", ") })
-            })
-            .collect()
-    }
-
     fn sensors_json(&self) -> Vec<Value> {
         let health = self.heard.health;
         self.config
@@ -208,6 +194,7 @@ impl Look<'_> {
             "sensors": self.sensors_json(),
             "backend": health.and_then(|health| backend_name(health.backend)),
             "adapter": health.map(|health| health.adapter_name()),
+            "publishers": self.publishers.iter().cloned().collect::<BTreeMap<String, Vec<u32>>>(),
             "services": services,
         })
     }

@@ -92,7 +92,7 @@ fn microphones(count: usize) -> Vec<(f64, String)> {
 
 fn spectrum(ping: &HeardPing) -> Picture {
     let title = "mean spectrum of all microphones; orange: the band of the emission";
-    let (mut picture, area) = frame(title).sheet(WIDTH_PX, HEIGHT_PX * 2 / 3);
+    let (mut picture, area) = frame(title).sheet(WIDTH_PX, HEIGHT_PX);
     let highest_khz = ping.sample_rate_hz * 0.5e-3;
     let finite = || ping.spectrum_db.iter().copied().filter(|value| value.is_finite());
     let top = (finite().fold(-300.0, f64::max) / 10.0).ceil() * 10.0;
@@ -100,7 +100,7 @@ fn spectrum(ping: &HeardPing) -> Picture {
     let height = f64::from(area.bottom - area.top);
     let across = |khz: f64| f64::from(area.left) + khz / highest_khz * f64::from(area.right - area.left);
     let up = |level: f64| f64::from(area.bottom) - ((level - bottom) / SPECTRUM_DB).clamp(0.0, 1.0) * height;
-    let levels = chrome::axis_ticks(bottom, top, HEIGHT_PX * 2 / 3);
+    let levels = chrome::axis_ticks(bottom, top, HEIGHT_PX);
     for (share, _) in &levels {
         let y = area.bottom - (share * height).round() as i32;
         picture.line(Point::new(area.left, y), Point::new(area.right, y), GRID_LINE);
