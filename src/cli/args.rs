@@ -24,7 +24,10 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:
   noctule demo                                   drive the simulated robot until Ctrl-C
   noctule run --config robot.toml --source live  the daemon on a robot
+  noctule status --config robot.toml             does it run, and why does the robot stand?
+  noctule doctor --config robot.toml             what prevents a start?
   noctule process a.npy --config robot.toml --out images --png
+  noctule plot a.wav --config robot.toml         what did the microphones hear?
   noctule simulate office --layout all --runs 5  prove sensor layouts, faster than real time")]
 pub struct Arguments {
     /// What to do.

@@ -11,14 +11,7 @@ use std::path::Path;
 use toml_edit::{Item, Table, Value};
 
 /// Keys that have no value by default and share their comment with another key.
-const OPTIONAL: [&str; 6] = [
-    "control.flow_following.set_distance_m",
-    "imaging.directions.file",
-    "imaging.directions.start_deg",
-    "sensor.mount.distance_m",
-    "sensor.mount.bearing_deg",
-    "sensor.mount.yaw_deg",
-];
+const OPTIONAL: [&str; 1] = ["control.flow_following.set_distance_m"];
 /// Values that no number may have: what the reader says of them is the range.
 const TOO_FAR: [&str; 5] = ["1e300", "-1e300", "-1", "0", "9223372036854775807"];
 
@@ -140,8 +133,8 @@ fn kind(key: &str) -> String {
     let said = refusal(key, "{ a = { b = 1 } }").unwrap_or_default();
     let said = said.split(':').next().unwrap_or("").trim();
     match said {
+        "" if refusal(key, "\"?\"").is_some_and(|said| said.starts_with('"')) => "choice".to_owned(),
         "" => "text".to_owned(),
-        said if said.starts_with('"') => "choice".to_owned(),
         said => said.trim_start_matches("a ").trim_start_matches("an ").replace(", 0 or more", ""),
     }
 }

@@ -270,9 +270,9 @@ pub fn read_axis(path: &Path, name: &str) -> Result<(Vec<f64>, usize), Recording
     let header = read_npy_header(path, &mut reader)?;
     let axis = || content(path, format!("{name} of another kind"), "f64 of one or two dimensions in C order");
     let plain = matches!(header.dtype(), npyz::DType::Plain(kind) if kind.to_string() == "<f8");
-    let (rows, columns) = match header.shape() {
-        &[rows] => (rows, 1),
-        &[rows, columns] => (rows, columns),
+    let (rows, columns) = match *header.shape() {
+        [rows] => (rows, 1),
+        [rows, columns] => (rows, columns),
         _ => return Err(axis()),
     };
     let count = rows.checked_mul(columns).filter(|count| *count <= AXIS_LEN_MAX);

@@ -37,7 +37,7 @@ impl<R: Read> Wave<R> {
         };
         let channels = usize::from(spec.channels);
         let values = reader.len() as usize;
-        if channels == 0 || values == 0 || values % channels != 0 {
+        if channels == 0 || values == 0 || !values.is_multiple_of(channels) {
             return Err(content(
                 path,
                 format!("{values} values in {channels} channels"),
