@@ -16,6 +16,9 @@ const LOG_FINISH_LIMIT: Duration = Duration::from_millis(100);
 /// The thin controller: takes velocity commands, enforces the safe state, drives the platform.
 #[derive(Debug, Parser)]
 #[command(name = "noctule-controller", version)]
+#[command(after_help = "Examples:
+  noctule-controller --config robot.toml         waits to be armed: `noctule arm`
+  noctule-controller --config robot.toml --arm   arms once, for the first live daemon")]
 struct Arguments {
     /// Configuration; of it, platform, safety and ipc are used. Built-in defaults without it.
     #[arg(long, value_name = "F")]
@@ -23,6 +26,12 @@ struct Arguments {
     /// Arm once, for the first live daemon; never after a latch.
     #[arg(long)]
     arm: bool,
+}
+
+/// The command line, for its manual page, its completions and tests.
+#[must_use]
+pub fn command() -> clap::Command {
+    <Arguments as clap::CommandFactory>::command()
 }
 
 /// Runs the controller process as the command line says.

@@ -5,6 +5,7 @@
 //! the modules; no module imports this one. Exit code of its errors is 78.
 
 mod layouts;
+mod reference;
 #[cfg(test)]
 mod tests;
 mod validate;
@@ -12,6 +13,7 @@ mod write;
 mod zone;
 
 pub use layouts::LAYOUT_NAMES;
+pub use reference::reference;
 pub use zone::StoppingDistance;
 
 use crate::control::{ControlParams, PlatformLimits};

@@ -51,3 +51,25 @@ pub fn check_positive(key: &str, value: f64, max: f64) -> Result<(), ParameterEr
         Err(ParameterError::new(key, value, format!("a number above 0, at most {max}")))
     }
 }
+
+/// The allowed name most like `found`, if one is like it at all: "did you mean".
+pub fn nearest<'a>(found: &str, allowed: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    // Long rubbish is like nothing, and comparing it would take long.
+    if found.chars().count() > 64 {
+        return None;
+    }
+    let flat = |name: &str| name.to_lowercase().replace('-', "_");
+    let found = flat(found);
+    let likeness = |name: &&str| {
+        let name = flat(name);
+        let prefixed = name.starts_with(&found) && found.chars().count() >= 3;
+        strsim::jaro_winkler(&found, &name).max(if prefixed { 0.9 } else { 0.0 })
+    };
+    let best = allowed.into_iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)));
+    best.filter(|name| likeness(name) >= 0.75)
+}
+
+/// `; did you mean NAME?`, or nothing.
+pub fn did_you_mean<'a>(found: &str, allowed: impl IntoIterator<Item = &'a str>) -> String {
+    nearest(found, allowed).map_or(String::new(), |name| format!("; did you mean {name}?"))
+}

@@ -194,6 +194,36 @@ fn recorded(compression: Option<mcap::Compression>) -> Vec<u8> {
     writer.into_inner().into_inner()
 }
 
+/// A WAV file of `bytes` bytes of samples.
+fn wav(format: u16, bits: u16, channels: u16, bytes: u32) -> Vec<u8> {
+    let block = channels * bits / 8;
+    let mut file = [b"RIFF".as_slice(), &(36 + bytes).to_le_bytes(), b"WAVEfmt ", &16_u32.to_le_bytes()].concat();
+    for number in [format, channels] {
+        file.extend(number.to_le_bytes());
+    }
+    for number in [450_000, 450_000 * u32::from(block)] {
+        file.extend(number.to_le_bytes());
+    }
+    for number in [block, bits] {
+        file.extend(number.to_le_bytes());
+    }
+    file.extend([b"data".as_slice(), &bytes.to_le_bytes()].concat());
+    file.extend((0..bytes).map(|value| value as u8));
+    file
+}
+
+/// A NumPy archive of stored arrays.
+fn npz(arrays: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    use std::io::Write as _;
+    let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    for (name, bytes) in arrays {
+        archive.start_file(format!("{name}.npy"), options).expect("entry");
+        archive.write_all(bytes).expect("bytes");
+    }
+    archive.finish().expect("archive").into_inner()
+}
+
 fn examples(name: &str) -> Vec<Vec<u8>> {
     let command = VelocityCommand::standstill(NOW, DaemonState::Active, Reason::None);
     match name {
@@ -218,6 +248,11 @@ fn examples(name: &str) -> Vec<Vec<u8>> {
             npy("<i2", "2, 3, 4", 48),
             npy("<f4", "3, 4", 48),
             npy("<f4", "2, 0, 4", 0),
+        ],
+        "recording_wav" => vec![wav(1, 16, 2, 64), wav(3, 32, 3, 96), wav(1, 24, 2, 60), wav(1, 32, 1, 32)],
+        "recording_npz" => vec![
+            npz(&[("pings", npy("<i2", "2, 3, 4", 48))]),
+            npz(&[("arr_0", npy("<f4", "3, 4", 48)), ("axis", npy("<f8", "3,", 24))]),
         ],
         "recording_bin" => vec![vec![0, 4, 1, 2, 3, 4, 5, 6, 7, 8, 9], [vec![0, 2], vec![7; 64]].concat()],
         "recording_mcap" => [None, Some(mcap::Compression::Lz4), Some(mcap::Compression::Zstd)].map(recorded).to_vec(),
@@ -374,6 +409,16 @@ fn no_bytes_break_a_table_of_directions() {
 #[test]
 fn no_bytes_break_the_reading_of_npy() {
     check(21, "recording_npy");
+}
+
+#[test]
+fn no_bytes_break_the_reading_of_wav() {
+    check(21, "recording_wav");
+}
+
+#[test]
+fn no_bytes_break_the_reading_of_npz() {
+    check(21, "recording_npz");
 }
 
 #[test]

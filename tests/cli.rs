@@ -346,3 +346,41 @@ fn soak_prints_one_object_and_exits_0_when_nothing_is_found() {
     assert!(summary["ping_sets"].as_u64() >= Some(100) && summary["troubles"].as_u64() >= Some(1), "{summary}");
     noctule().args(["soak", "--minutes", "0"]).assert().code(2);
 }
+
+#[test]
+fn what_is_typed_wrong_is_told_with_what_is_allowed_and_what_was_meant() {
+    let room = Room::new();
+    let config = room.config("").display().to_string();
+    std::fs::write(room.path("afile"), "x").expect("file");
+    std::fs::write(room.path("world.toml"), "waypoints = [[1.0, 1.0]]\n").expect("file");
+    let (file, world) = (room.path("afile").display().to_string(), room.path("world.toml").display().to_string());
+    let folder = room.path("").display().to_string();
+    let missing = room.path("missing.npy").display().to_string();
+    let cases: [(&[&str], i32, &str); 15] = [
+        (&["process", &missing, "--out", &folder], 65, "missing.npy: found no such file, allowed: a .npy"),
+        (
+            &["process", &config, "--out", &folder],
+            65,
+            "found another kind of file, allowed: a .npy, .npz, .wav or .bin",
+        ),
+        (&["process", &missing, "--out", &file], 73, "found a file where a folder is needed"),
+        (&["process", &missing, "--out", &folder, "--sensor", "frnt"], 2, "did you mean front?"),
+        (&["plot", &folder], 65, "found a folder without results"),
+        (&["plot", &file], 65, "found another kind of file"),
+        (&["simulate", "ofice"], 65, "allowed: office (built in), or a file; did you mean office?"),
+        (&["simulate", &config], 65, "this is a configuration, not a world"),
+        (&["simulate", "office", "--layout", "sm-3"], 2, "did you mean sim-3?"),
+        (&["status", "--config", &world], 78, "this is a world, not a configuration"),
+        (&["status", "--config", &missing], 78, "`noctule config --default > "),
+        (&["echo", "comand", "--config", &config], 2, "did you mean noctule/command?"),
+        (&["arm", "--config", &config], 69, "is the daemon running?"),
+        (&["config", "import", &file], 65, "allowed: one JSON object of settings"),
+        (&["detect", "ring"], 65, "found nothing, allowed: one JSON object"),
+    ];
+    for (arguments, code, expected) in cases {
+        let output = noctule().args(arguments).output().expect("runs");
+        let talk = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {talk}");
+        assert!(talk.contains(expected), "{arguments:?}: {talk}");
+    }
+}

@@ -1,19 +1,25 @@
 //! The command line as it may be typed (specification, section 11).
 
 mod detect;
+mod diagnosis;
+mod files;
 mod record;
 mod simulate;
 #[cfg(feature = "view")]
 mod view;
 
 pub use detect::{DetectArguments, DetectorArgument};
+pub use diagnosis::{
+    CheckArguments, CompletionsArguments, ConfigAction, ConfigArguments, DoctorArguments, EchoArguments,
+    ImportArguments, ManArguments, StatusArguments, TopicsArguments,
+};
+pub use files::{ExportFormat, PlotArguments, ProcessArguments};
 pub use record::{RecordArguments, RecordingArguments, ReplayArguments};
 pub use simulate::{ConditionArguments, SimulateArguments};
 #[cfg(feature = "view")]
 pub use view::{DEFAULT_LISTEN, ViewArguments};
 
 use super::bench::Case;
-use super::process::Shard;
 use crate::imaging::params::Prefer;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -24,7 +30,10 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:
   noctule demo                                   drive the simulated robot until Ctrl-C
   noctule run --config robot.toml --source live  the daemon on a robot
+  noctule status --config robot.toml             does it run, and why does the robot stand?
+  noctule doctor --config robot.toml             what prevents a start?
   noctule process a.npy --config robot.toml --out images --png
+  noctule plot a.wav --config robot.toml         what did the microphones hear?
   noctule simulate office --layout all --runs 5  prove sensor layouts, faster than real time")]
 pub struct Arguments {
     /// What to do.
@@ -46,14 +55,30 @@ pub enum Command {
     /// The daemon: images pings, decides velocities, publishes both.
     Run(RunArguments),
     /// The thin controller process: gates commands and drives the platform. Also the binary noctule-controller.
+    #[command(after_help = "Examples:
+  noctule controller                             waits to be armed
+  noctule controller --config robot.toml --arm   arms once, for the first live daemon
+  noctule-controller --config robot.toml         the same as a program of its own")]
     Controller(ControllerArguments),
     /// Ask daemon and controller to arm: motion becomes possible.
+    #[command(after_help = "Examples:
+  noctule arm
+  noctule arm --config robot.toml")]
     Arm(OperatorArguments),
     /// Ask daemon and controller to stop at once.
+    #[command(after_help = "Examples:
+  noctule stop
+  noctule stop --config robot.toml")]
     Stop(OperatorArguments),
     /// Ask the daemon to leave its latched fault and test itself again.
+    #[command(after_help = "Examples:
+  noctule reset
+  noctule reset --config robot.toml")]
     Reset(OperatorArguments),
     /// Remove what stopped processes left in shared memory; after exit code 75 this is the supervisor's.
+    #[command(after_help = "Examples:
+  noctule wipe                        when all processes have been stopped
+  noctule wipe --config robot.toml")]
     Wipe(OperatorArguments),
     /// Record what passes on the topics to an MCAP file.
     Record(RecordArguments),
@@ -82,8 +107,18 @@ pub enum Command {
     View(ViewArguments),
     /// Check a configuration, world or recording and say what is wrong with it.
     Check(CheckArguments),
-    /// Print the configuration in force, or the built-in one.
+    /// One look at a running system: who lives, whether the robot moves and why, what is not well.
+    Status(StatusArguments),
+    /// Look for what prevents a start or spoils a run; every line with its remedy.
+    Doctor(DoctorArguments),
+    /// Draw energyscapes, or what the microphones of a recording heard.
+    Plot(PlotArguments),
+    /// Print the configuration in force or the built-in one, explain every key, or import another program's settings.
     Config(ConfigArguments),
+    /// Print a script that completes commands in a shell.
+    Completions(CompletionsArguments),
+    /// Write the manual pages.
+    Man(ManArguments),
 }
 
 /// A backend as the command line names it.
@@ -190,52 +225,16 @@ pub struct OperatorArguments {
     pub choice: ConfigChoice,
 }
 
-/// `process`.
-#[derive(Debug, Args)]
-#[command(after_help = "Examples:
-  noctule process ping.bin --config robot.toml --out images --png
-  noctule process a.npy b.npy --config robot.toml --out images    # images/a, images/b
-  noctule process day1 --out images                     # all recordings in day1; again after an interruption: the rest
-  noctule process day1 --out images --shard 3/8         # the third of eight parts, in any order, on any machines
-  parallel noctule process day1 --out images --jobs 1 --shard {}/8 ::: $(seq 8)")]
-pub struct ProcessArguments {
-    /// Recordings: .npy [pings, mics, samples] or [mics, samples] of i16 or f32, .npy u32 [pings, words], eRTIS .bin, or .mcap of
-    /// noctule, which carries its own configuration; or folders of them.
-    #[arg(required = true, value_name = "INPUT")]
-    pub inputs: Vec<PathBuf>,
-    #[command(flatten)]
-    pub choice: ConfigChoice,
-    /// Folder to write to; made if missing.
-    #[arg(short, long, value_name = "DIR")]
-    pub out: PathBuf,
-    /// Backend; the configuration's without it.
-    #[arg(long, value_enum, value_name = "B")]
-    pub backend: Option<BackendArgument>,
-    /// Sensor whose array and geometry the recordings have; the first without it.
-    #[arg(long, value_name = "NAME")]
-    pub sensor: Option<String>,
-    /// Write a picture of every ping as well.
-    #[arg(long)]
-    pub png: bool,
-    /// Do only the I-th of N equal parts of the recordings, I from 1 to N; together the parts are everything.
-    #[arg(long, value_name = "I/N")]
-    pub shard: Option<Shard>,
-    /// Cores to use; all without it. The results are the same.
-    #[arg(short, long, value_name = "J", value_parser = clap::value_parser!(u32).range(1..=1024))]
-    pub jobs: Option<u32>,
-    /// Do again what was finished before.
-    #[arg(long)]
-    pub force: bool,
-}
-
 /// `soak`.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:
+#[command(
+    after_help = "Prints one JSON object. Exit 1 when the robot moved when it must not, stopped too late, or stopped for nothing.
+
+Examples:
   noctule soak                              six robot-minutes, a fault a minute
   noctule soak --minutes 60 --seed 7
-  noctule soak --minutes 10 --fault-every 15
-
-Prints one JSON object. Exit 1 when the robot moved when it must not, stopped too late, or stopped for nothing.")]
+  noctule soak --minutes 10 --fault-every 15"
+)]
 pub struct SoakArguments {
     #[command(flatten)]
     pub choice: ConfigChoice,
@@ -324,25 +323,6 @@ pub struct BenchArguments {
     pub busy: bool,
 }
 
-/// `topics`.
-#[derive(Debug, Args)]
-pub struct TopicsArguments {
-    #[command(flatten)]
-    pub choice: ConfigChoice,
-    /// Print one JSON object instead of the tables.
-    #[arg(long)]
-    pub json: bool,
-    /// Print the types as a C header.
-    #[arg(long, conflicts_with_all = ["json", "relayed", "transport"])]
-    pub c_header: bool,
-    /// With --json: the copies that `noctule relay` makes, as a client on another machine needs them.
-    #[arg(long, requires = "json")]
-    pub relayed: bool,
-    /// Print the transport's own configuration (iceoryx2.toml), for its command line tools and its link.
-    #[arg(long, conflicts_with = "json")]
-    pub transport: bool,
-}
-
 /// `relay`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -353,49 +333,6 @@ pub struct RelayArguments {
     pub choice: ConfigChoice,
 }
 
-/// `echo`.
-#[derive(Debug, Args)]
-#[command(after_help = "Examples:
-  noctule echo noctule/command
-  noctule echo noctule/platform --json --count 10")]
-pub struct EchoArguments {
-    /// Topic, for example noctule/command; `noctule topics` lists them.
-    pub topic: String,
-    #[command(flatten)]
-    pub choice: ConfigChoice,
-    /// One JSON object a line.
-    #[arg(long)]
-    pub json: bool,
-    /// End after this many samples.
-    #[arg(long, value_name = "N")]
-    pub count: Option<u64>,
-    /// End after this many seconds.
-    #[arg(long, value_name = "S", value_parser = seconds)]
-    pub duration: Option<f64>,
-}
-
-/// `check`.
-#[derive(Debug, Args)]
-pub struct CheckArguments {
-    /// Configuration or world (.toml), or recording (.npy, .bin, .mcap).
-    pub file: PathBuf,
-    #[command(flatten)]
-    pub choice: ConfigChoice,
-    /// Print one JSON object.
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// `config`.
-#[derive(Debug, Args)]
-pub struct ConfigArguments {
-    #[command(flatten)]
-    pub choice: ConfigChoice,
-    /// Print the built-in defaults.
-    #[arg(long, conflicts_with = "config")]
-    pub default: bool,
-}
-
 /// Accepts a positive, finite number.
 #[cfg(feature = "gpu")]
 fn positive(text: &str) -> Result<f64, String> {
@@ -404,7 +341,7 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 /// Accepts a positive, finite number of seconds up to a year.
-fn seconds(text: &str) -> Result<f64, String> {
+pub(super) fn seconds(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| format!("found {text}, allowed: a number of seconds"))?;
     if value > 0.0 && value <= 31_557_600.0 {
         Ok(value)

@@ -28,7 +28,7 @@ struct Report {
 pub fn check(arguments: &CheckArguments) -> Result<(), Failure> {
     let extension = arguments.file.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     let report = match extension.as_deref() {
-        Some("npy" | "bin" | "mcap") => check_recording(&arguments.file, &arguments.choice)?,
+        Some("npy" | "npz" | "wav" | "bin" | "mcap") => check_recording(&arguments.file, &arguments.choice)?,
         _ => check_document(&arguments.file)?,
     };
     if arguments.json {
@@ -104,7 +104,7 @@ fn check_config(config: &Config) -> Result<Report, Failure> {
 fn check_recording(path: &Path, choice: &ConfigChoice) -> Result<Report, Failure> {
     let config = super::record::config_of_recording(path, choice)?;
     let data = |error: crate::io::recording_file::RecordingError| Failure::new(exit::DATA, error);
-    let mut recording = RecordingFile::open(path, wiring::words_per_ping(&config)).map_err(data)?;
+    let mut recording = RecordingFile::open(path, wiring::file_hints(&config)).map_err(data)?;
     let shape = recording.shape();
     let mut findings = Vec::new();
     let fitting = wiring::recording_for(&config, shape.format, shape.sample_count);

@@ -120,6 +120,9 @@ fn ring_objects(config: &Config, text: &str) -> Result<Value, Failure> {
 }
 
 fn parse<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, Failure> {
+    if text.trim().is_empty() {
+        return Err(refuse("", "nothing", "one JSON object; `noctule detect --help` has examples"));
+    }
     serde_json::from_str(text).map_err(|error| Failure::new(exit::DATA, format!("standard input: {error}")))
 }
 

@@ -9,14 +9,19 @@ mod check;
 mod config;
 mod demo;
 mod detect;
+mod doctor;
+mod documents;
+mod import;
 mod masks;
 mod output;
+mod plot;
 mod process;
-mod relay;
 mod record;
+mod relay;
 mod run;
 mod simulate;
 mod soak;
+mod status;
 mod topics;
 #[cfg(feature = "view")]
 mod view;
@@ -32,7 +37,7 @@ use std::time::Duration;
 
 /// Exit codes of the specification.
 pub mod exit {
-    /// A finding of `check` or `soak`.
+    /// A finding of `check`, `doctor`, `status` or `soak`.
     pub const FINDING: u8 = 1;
     /// Usage.
     pub const USAGE: u8 = 2;
@@ -167,6 +172,11 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         #[cfg(feature = "view")]
         Command::View(arguments) => view::view(&arguments),
         Command::Check(arguments) => check::check(&arguments),
+        Command::Status(arguments) => status::status(&arguments),
+        Command::Doctor(arguments) => doctor::doctor(&arguments),
+        Command::Plot(arguments) => plot::plot(&arguments),
+        Command::Completions(arguments) => documents::completions(&arguments),
+        Command::Man(arguments) => documents::man(&arguments),
         Command::Config(arguments) => config::config(&arguments),
     }
 }

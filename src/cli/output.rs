@@ -19,12 +19,25 @@ pub fn make_folder(path: &Path) -> Result<(), Failure> {
 
 /// The failure for a file or folder that cannot be made.
 pub fn cannot_create(path: &Path, error: &std::io::Error) -> Failure {
-    let code = match error.kind() {
-        std::io::ErrorKind::PermissionDenied => exit::PERMISSION,
-        std::io::ErrorKind::StorageFull => exit::IO,
-        _ => exit::CANNOT_CREATE,
+    use std::io::ErrorKind::{
+        AlreadyExists, IsADirectory, NotADirectory, PermissionDenied, ReadOnlyFilesystem, StorageFull,
     };
-    Failure::new(code, format!("{}: cannot create: {error}", path.display()))
+    let (code, why) = match error.kind() {
+        PermissionDenied => {
+            (exit::PERMISSION, "found no permission to write there, allowed: a folder of this user".to_owned())
+        }
+        StorageFull => (exit::IO, "the disk is full".to_owned()),
+        ReadOnlyFilesystem => {
+            (exit::CANNOT_CREATE, "found a read-only file system, allowed: one that can be written".to_owned())
+        }
+        AlreadyExists | NotADirectory => (
+            exit::CANNOT_CREATE,
+            "found a file where a folder is needed, allowed: a folder, or a name that is free".to_owned(),
+        ),
+        IsADirectory => (exit::CANNOT_CREATE, "found a folder where a file is needed".to_owned()),
+        _ => (exit::CANNOT_CREATE, error.to_string()),
+    };
+    Failure::new(code, format!("{}: cannot create: {why}", path.display()))
 }
 
 /// A file under a temporary name beside its place, which takes its place when it is finished.

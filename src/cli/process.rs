@@ -4,6 +4,7 @@
 //! recordings or one, and the bytes are the same however many there are. Memory does not grow with a recording's length. A
 //! bad input gets its error and the others go on. What was finished before is passed over.
 
+mod export;
 mod finished;
 mod inputs;
 mod job;
@@ -19,6 +20,7 @@ use crate::imaging::backend::{BackendError, BackendKind};
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
 use crate::io::recording_file::{RecordingError, RecordingFile};
+use crate::parameter::did_you_mean;
 use crate::service::wiring;
 use crate::signal::{MaskTable, SENSORS_MAX};
 use finished::Fingerprint;
@@ -86,11 +88,16 @@ pub fn process(arguments: &ProcessArguments) -> Result<(), Failure> {
     }
 }
 
-fn find_sensor(config: &Config, name: Option<&str>) -> Result<usize, Failure> {
+/// The index of the sensor of that name; the first without one.
+///
+/// # Errors
+/// Exit 2 naming the sensors there are.
+pub fn find_sensor(config: &Config, name: Option<&str>) -> Result<usize, Failure> {
     let Some(name) = name else { return Ok(0) };
     let names: Vec<&str> = config.sensor.iter().map(|sensor| sensor.name.as_str()).collect();
     names.iter().position(|found| *found == name).ok_or_else(|| {
-        Failure::new(exit::USAGE, format!("--sensor: found {name}, the configuration has {}", names.join(", ")))
+        let near = did_you_mean(name, names.iter().copied());
+        Failure::new(exit::USAGE, format!("--sensor: found {name}, allowed: {}{near}", names.join(", ")))
     })
 }
 
@@ -106,7 +113,7 @@ fn unfinished(
     targets: Vec<Target>,
 ) -> Result<(Vec<Waiting>, Vec<(Target, u8)>), Failure> {
     let backend = format!("{:?}", prefer(config, arguments));
-    let settings = finished::settings(config, sensor_index, &backend, arguments.png)
+    let settings = finished::settings(config, sensor_index, &backend, (arguments.png, arguments.format))
         .map_err(|error| Failure::new(exit::CONFIG, error))?;
     let (count, mut waiting, mut failures) = (targets.len(), Vec::new(), Vec::new());
     for target in targets {
@@ -157,10 +164,10 @@ fn image(
     let jobs = arguments.jobs.map_or_else(cores, |jobs| jobs as usize);
     let imagers = if matches!(chosen, Chosen::Gpu { .. }) { jobs.min(GPU_IMAGERS) } else { jobs };
     let at_once = imagers.min(waiting.len());
-    let words = wiring::words_per_ping(config);
+    let hints = wiring::file_hints(config);
     // A header is all that is read here; what cannot be opened is told when its turn comes.
     let pings = |input| {
-        RecordingFile::open_sensor(input, words, sensor_index)
+        RecordingFile::open_sensor(input, hints, sensor_index)
             .map_or(0, |recording| recording.shape().ping_count as u64)
     };
     let bar = progress(0, "imaging");

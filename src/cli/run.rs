@@ -86,7 +86,18 @@ fn source_choice(text: &str, seed: u64, config: &mut Config) -> Result<SourceCho
 /// Exit 65.
 pub fn load_world(path: Option<&Path>) -> Result<World, Failure> {
     let world = path.map_or_else(World::default_world, World::load);
-    world.map_err(|error| Failure::new(exit::DATA, error))
+    world.map_err(|error| {
+        let of_configurations =
+            ["config_version", "sensor", "control", "imaging", "recording", "platform", "ipc", "safety"];
+        let top = error.key.as_deref().map(|key| key.split(['.', '[']).next().unwrap_or(key));
+        let hint = match top {
+            Some(key) if of_configurations.contains(&key) => {
+                "\nthis is a configuration, not a world: give it with --config"
+            }
+            _ => "",
+        };
+        Failure::new(exit::DATA, format!("{error}{hint}"))
+    })
 }
 
 /// The failure for a daemon that ended.

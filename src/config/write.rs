@@ -38,11 +38,18 @@ const COMMENTS: &[(&str, &str)] = &[
         "imaging.directions",
         "Directions of interest: a horizontal fan, or { file = \"directions.csv\" } of azimuth_deg,elevation_deg.",
     ),
+    ("imaging.directions.start_deg", "First bearing, 0 ahead, positive to the left."),
+    ("imaging.directions.step_deg", "Step from one bearing to the next."),
+    ("imaging.directions.count", "Number of bearings."),
+    ("imaging.directions.file", "CSV of azimuth_deg,elevation_deg rows instead, relative to this file."),
     ("imaging.weighting", "Matched filter: \"none\" or \"phat\"."),
     ("imaging.smoothing_hz", "Cut-off of the smoothing low-pass on the envelope."),
     ("sensor", "A sensor, 1 to 3 of them. Any [[sensor]] replaces all built-in ones."),
     ("sensor.name", "Part of the topic names."),
     ("sensor.mount", "Distance and bearing of its place from the robot's centre, yaw against that bearing."),
+    ("sensor.mount.distance_m", "Distance of its place from the robot's centre of rotation."),
+    ("sensor.mount.bearing_deg", "Bearing of that place, 0 ahead, positive to the left."),
+    ("sensor.mount.yaw_deg", "Yaw of the sensor against that bearing: 0 looks outward."),
     ("sensor.array", "\"ertis-v3d1\", or a CSV file of mic,x_m,y_m,z_m rows, relative to this file."),
     ("sensor.disabled_mics", "Microphones that are not used, counted from 0."),
     ("sensor.emitter_m", "Place of the emitter in the sensor's frame: forward, left, up."),
@@ -151,6 +158,11 @@ pub(super) fn comment(path: &str) -> Option<&'static str> {
     let last = path.rsplit('.').next().unwrap_or(path);
     let shared = path.strip_prefix("control.").and_then(|_| find(LAYER_COMMENTS, last));
     find(COMMENTS, path).or(shared)
+}
+
+/// Every path that has a comment of its own: keys and sections.
+pub(super) fn commented() -> impl Iterator<Item = &'static str> {
+    COMMENTS.iter().map(|(path, _)| *path)
 }
 
 /// Tables that are written in one line.

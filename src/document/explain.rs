@@ -118,18 +118,8 @@ fn list(names: &[String], quote: &str) -> String {
 
 /// A line of help naming the allowed name most like `found`, if one is like it at all.
 fn nearest(found: &str, allowed: &[String]) -> Vec<String> {
-    // Long rubbish is like nothing, and comparing it would take long.
-    if found.chars().count() > 64 {
-        return Vec::new();
-    }
-    let flat = |name: &str| name.to_lowercase().replace('-', "_");
-    let likeness = |name: &&String| {
-        let name_flat = flat(name);
-        let prefixed = name_flat.starts_with(&flat(found)) && found.chars().count() >= 3;
-        strsim::jaro_winkler(&flat(found), &name_flat).max(if prefixed { 0.9 } else { 0.0 })
-    };
-    let best = allowed.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)));
-    best.filter(|name| likeness(name) >= 0.75).map(|name| format!("the nearest is `{name}`")).into_iter().collect()
+    let name = crate::parameter::nearest(found, allowed.iter().map(String::as_str));
+    name.map(|name| format!("the nearest is `{name}`")).into_iter().collect()
 }
 
 /// The value as the file has it, shortened.

@@ -96,6 +96,12 @@ impl DaemonTopics {
         Self::needs(sensors, cell_counts).bytes()
     }
 
+    /// Descriptors of open files that [`DaemonTopics::open`] needs.
+    #[must_use]
+    pub fn needed_descriptors(sensors: &[String], cell_counts: &[usize]) -> u64 {
+        Self::needs(sensors, cell_counts).descriptors()
+    }
+
     fn needs(sensors: &[String], cell_counts: &[usize]) -> Needs {
         let mut needs = Needs::new().spare(SPARE_BYTES);
         for (sensor, &cell_count) in sensors.iter().zip(cell_counts) {

@@ -11,6 +11,7 @@ use super::topics::{self, Topic};
 use super::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput};
 use super::wire::telemetry::{Cues, Health, PlatformVelocity};
 use super::wire::{Primitive, WireType, fields_json};
+use crate::parameter::did_you_mean;
 use crate::signal::SampleFormat;
 use iceoryx2::prelude::ZeroCopySend;
 use serde_json::{Map, Value, json};
@@ -53,7 +54,10 @@ impl Echo {
     ) -> Result<Self, IpcError> {
         let mut all = Topic::all(sensors, format);
         all.extend(Topic::all_relayed(sensors));
-        let known = || all.iter().map(|topic| topic.name.as_str()).collect::<Vec<_>>().join(", ");
+        let known = || {
+            let names: Vec<&str> = all.iter().map(|topic| topic.name.as_str()).collect();
+            format!("{}{}", names.join(", "), did_you_mean(topic, names.iter().copied()))
+        };
         let found = all
             .iter()
             .find(|known| known.name == topic)
@@ -64,10 +68,16 @@ impl Echo {
         Ok(Self { port, json, _registration: registration })
     }
 
+    /// The fields of the next sample; `None` when nothing waits.
+    #[must_use]
+    pub fn next_fields(&self) -> Option<Map<String, Value>> {
+        self.port.next_fields()
+    }
+
     /// The next sample as a line without its end; `None` when nothing waits.
     #[must_use]
     pub fn next_line(&self) -> Option<String> {
-        let fields = self.port.next_fields()?;
+        let fields = self.next_fields()?;
         Some(if self.json { Value::Object(fields).to_string() } else { line_for_people(&fields) })
     }
 

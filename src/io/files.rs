@@ -36,7 +36,7 @@ fn files_in(folder: &Path) -> impl Iterator<Item = (PathBuf, Metadata)> {
 }
 
 /// The prefix's files in shared memory.
-fn shared(prefix: &str) -> impl Iterator<Item = (PathBuf, Metadata)> {
+pub(super) fn shared(prefix: &str) -> impl Iterator<Item = (PathBuf, Metadata)> {
     files_in(Path::new(SHARED_MEMORY)).filter(move |(path, metadata)| {
         metadata.is_file()
             && path.file_name().and_then(|name| name.to_str()).is_some_and(|name| is_of_prefix(name, prefix))
@@ -72,16 +72,18 @@ pub(super) fn refuse_foreign(prefix: &str) -> Result<(), IpcError> {
     }
 }
 
+/// Whether a shared-memory file has no size, or cannot be read yet: its maker is at it, or was killed.
+pub(super) fn is_half_made(metadata: &Metadata) -> bool {
+    metadata.len() == 0 || metadata.mode() & OWNER_READ == 0
+}
+
 /// Removes shared-memory files that a process began and, killed, will never finish: without a size, or not yet readable.
 ///
 /// The transport waits for such a file for ever, when it begins, ends or cleans up after the dead; without the file it goes on.
 /// They are given `patience` to become whole.
 pub(super) fn sweep_half_made(prefix: &str, patience: Duration) {
-    let half_made = || {
-        shared(prefix)
-            .filter(|(_, metadata)| metadata.len() == 0 || metadata.mode() & OWNER_READ == 0)
-            .map(|(path, metadata)| (path, metadata.ino()))
-    };
+    let half_made =
+        || shared(prefix).filter(|(_, metadata)| is_half_made(metadata)).map(|(path, metadata)| (path, metadata.ino()));
     let seen: Vec<_> = half_made().collect();
     if seen.is_empty() {
         return;
@@ -121,7 +123,13 @@ pub(super) fn remove_service_file(root: &Path, prefix: &str, hash: &str) -> bool
 
 /// Bytes that are free in shared memory; none known where it has no directory.
 pub(super) fn free_bytes() -> Option<u64> {
-    let space = rustix::fs::statvfs(SHARED_MEMORY).ok()?;
+    free_bytes_of(Path::new(SHARED_MEMORY))
+}
+
+/// Bytes that this user may still write where a path lies.
+#[must_use]
+pub fn free_bytes_of(path: &Path) -> Option<u64> {
+    let space = rustix::fs::statvfs(path).ok()?;
     Some(space.f_bavail.saturating_mul(space.f_frsize))
 }
 
@@ -154,6 +162,11 @@ impl Remains {
         // Deepest first, so that a folder is empty when its turn comes.
         folders.sort_by_key(|path| std::cmp::Reverse(path.as_os_str().len()));
         Self { files, folders }
+    }
+
+    /// How many files there are.
+    pub(super) fn count(&self) -> usize {
+        self.files.len()
     }
 
     /// How long ago the newest of the files was written; none without files. One from the future is new.

@@ -6,12 +6,12 @@
 //! | [`wire`] | the types on them |
 //! | [`node`], `session`, `ports`, `watch` | set-up, ports, a way out of a hang |
 //! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
-//! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`energyscape_reader`] | who publishes and listens to what |
+//! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`view_topics`], [`energyscape_reader`] | who publishes and listens to what |
 //! | [`c_header`], [`relay`] | the types for clients in C, copies for other machines |
-//! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`view_topics`] | who publishes and listens to what |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`record`] | a run to MCAP and back |
 //! | [`ros`] | our nouns as ROS 2 messages |
+//! | [`survey`] | root, files and neighbours as seen from outside, for diagnosis |
 //! | [`source`] | where ping sets come from |
 //! | [`recording_file`], [`picture`], [`plot`], [`plot_layouts`] | files in, pictures out |
 
@@ -40,6 +40,7 @@ pub mod ros;
 mod session;
 pub mod source;
 pub mod status_topics;
+pub mod survey;
 pub mod topics;
 pub mod view_topics;
 mod watch;
@@ -51,7 +52,7 @@ pub use daemon_topics::{DaemonTopics, LastWord};
 pub use echo::{Echo, EchoLimit};
 pub use energyscape_reader::EnergyscapeReader;
 pub use error::IpcError;
-pub use files::wipe;
+pub use files::{free_bytes_of, wipe};
 pub use node::Ipc;
 pub use params::IpcParams;
 pub use raw_topics::{LiveTopics, RawPublisher, RawRefusal, RawShape};

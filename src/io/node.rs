@@ -102,6 +102,24 @@ impl Needs {
     pub(super) fn bytes(&self) -> u64 {
         self.bytes
     }
+
+    /// Descriptors of open files.
+    pub(super) fn descriptors(&self) -> u64 {
+        self.descriptors
+    }
+}
+
+/// The transport's configuration for a root and prefix; touches nothing.
+pub(super) fn transport_config(root: &Path, prefix: &str) -> Result<Config, IpcError> {
+    let invalid = |what: &str| IpcError::Internal(format!("{what} is not taken by the transport"));
+    let text = root.to_str().ok_or_else(|| invalid("a root that is not UTF-8"))?;
+    let mut config = Config::default();
+    let path = iceoryx2::prelude::Path::new(text.as_bytes()).map_err(|_| invalid(text))?;
+    config.global.set_root_path(&path);
+    config.global.prefix = iceoryx2::prelude::FileName::new(prefix.as_bytes()).map_err(|_| invalid(prefix))?;
+    config.global.creation_timeout = Duration::from_secs(1);
+    config.defaults.publish_subscribe.backpressure_strategy = BackpressureStrategy::DiscardData;
+    Ok(config)
 }
 
 impl Ipc {
@@ -117,15 +135,7 @@ impl Ipc {
         });
         let root = params.root_path();
         prepare(&root)?;
-        let invalid = |what: &str| IpcError::Internal(format!("{what} is not taken by the transport"));
-        let text = root.to_str().ok_or_else(|| invalid("a root that is not UTF-8"))?;
-        let mut config = Config::default();
-        let path = iceoryx2::prelude::Path::new(text.as_bytes()).map_err(|_| invalid(text))?;
-        config.global.set_root_path(&path);
-        config.global.prefix =
-            iceoryx2::prelude::FileName::new(params.prefix.as_bytes()).map_err(|_| invalid(&params.prefix))?;
-        config.global.creation_timeout = Duration::from_secs(1);
-        config.defaults.publish_subscribe.backpressure_strategy = BackpressureStrategy::DiscardData;
+        let config = transport_config(&root, &params.prefix)?;
         Ok(Self { root, prefix: params.prefix.clone(), config })
     }
 

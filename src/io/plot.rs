@@ -1,4 +1,5 @@
-//! The figures of paper 000, drawn from our own drives and configurations; and curves of measured times ([`curves()`]).
+//! The figures of paper 000, drawn from our own drives and configurations; curves of measured times ([`curves()`]); and what one
+//! ping was made of ([`heard()`], [`rectangular()`]).
 //!
 //! | figure | function | what goes in |
 //! |---|---|---|
@@ -19,6 +20,7 @@ mod frames;
 mod heat_map;
 mod regions;
 mod robot;
+mod signals;
 mod trajectories;
 mod world;
 
@@ -28,6 +30,7 @@ pub use frames::{energyscapes_together, frames};
 pub use heat_map::{HeatMapOptions, HeatMeasure, heat_map};
 pub use regions::{PlottedRegions, masks_together, regions};
 pub use robot::PlottedRobot;
+pub use signals::{HeardPing, heard, rectangular};
 pub use trajectories::{PathsOptions, paths, paths_by_layout};
 
 use crate::signal::LayerName;

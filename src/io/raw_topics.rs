@@ -105,6 +105,12 @@ pub struct RawPublisher {
 }
 
 impl RawPublisher {
+    /// Shared memory that [`RawPublisher::open`] needs for one sensor, in bytes.
+    #[must_use]
+    pub fn needed_bytes(name: &str, shape: RawShape) -> u64 {
+        Needs::new().publisher(&Topic::raw(name, shape.format), shape.len()).bytes()
+    }
+
     /// Opens the topic of sensor `name` for pings of `shape`.
     ///
     /// # Errors

@@ -1,13 +1,17 @@
-//! Raw recordings in files: NumPy `.npy`, eRTIS `.bin` and recorded runs `.mcap`, read ping by ping, so that memory does not grow with the file.
+//! Raw recordings in files: NumPy `.npy` and `.npz`, multichannel `.wav`, eRTIS `.bin` and recorded runs `.mcap`, read ping by
+//! ping, so that memory does not grow with the file.
 //!
 //! In: a path and what the configuration says of the data. Out: [`Samples`] of one ping at a time. A file that ends
 //! in the middle of a ping gives its complete pings and then one error. Never interprets samples.
+
+mod npz;
+mod wav;
 
 use super::record::RecordError;
 use super::record::pings::RunPings;
 use crate::signal::{SampleFormat, Samples};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
 /// A `.npy` header longer than this is not one of ours; the format itself would allow 4 GiB.
@@ -15,11 +19,36 @@ const NPY_HEADER_BYTES_MAX: u64 = 64 * 1024;
 /// A single ping above this is a damaged header, not a ping.
 const PING_BYTES_MAX: u64 = 1 << 30;
 
+/// Longest axis of an energyscape.
+const AXIS_LEN_MAX: u64 = 1 << 24;
+/// Samples of a ping of PCM where nobody says otherwise: the eRTIS's.
+const SAMPLES_DEFAULT: usize = 16_384;
+/// What is read.
+const KINDS: &str = "a .npy, .npz, .wav, .bin or .mcap file";
+
+/// What the configuration knows of a recording that has no header of its own, or one that says too little.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FileHints {
+    /// PDM words in a ping, for `.bin`.
+    pub words_per_ping: usize,
+    /// PCM samples of one microphone in a ping, for `.wav`, where the configuration says so.
+    pub samples_per_ping: Option<usize>,
+    /// Rate that a file that tells its own must have.
+    pub sample_rate_hz: Option<f64>,
+}
+
+impl From<usize> for FileHints {
+    /// Of PDM words alone.
+    fn from(words_per_ping: usize) -> Self {
+        Self { words_per_ping, ..Self::default() }
+    }
+}
+
 /// Why a recording cannot be read, naming the file.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// The file cannot be opened or read.
-    #[error("{}: {error}", path.display())]
+    #[error("{}: {}", path.display(), plain(error))]
     Io {
         /// The file.
         path: PathBuf,
@@ -50,6 +79,15 @@ pub enum RecordingError {
     },
 }
 
+/// What the system said, in the words of every other error.
+fn plain(error: &std::io::Error) -> String {
+    match error.kind() {
+        std::io::ErrorKind::NotFound => format!("found no such file, allowed: {KINDS}"),
+        std::io::ErrorKind::PermissionDenied => "found a file that may not be read (permission denied)".to_owned(),
+        _ => format!("cannot be read: {error}"),
+    }
+}
+
 /// What a file says of its pings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RecordingShape {
@@ -66,38 +104,58 @@ pub struct RecordingShape {
 /// An open recording: a file, or whatever else gives its bytes.
 pub struct RecordingFile<R = Box<dyn Read + Send>> {
     path: PathBuf,
-    reader: R,
+    content: Content<R>,
     shape: RecordingShape,
     pings_read: usize,
     bytes: Vec<u8>,
 }
 
+/// How the values lie in the file.
+enum Content<R> {
+    /// Ping by ping, as they are wanted.
+    Plain(R),
+    Wave(Box<wav::Wave<R>>),
+}
+
+/// Ending of a file's name, in small letters.
+fn ending(path: &Path) -> Option<String> {
+    path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase())
+}
+
 impl RecordingFile {
-    /// Opens a recording. `words_per_ping` is the configuration's, used for `.bin`, which has no header of its own.
+    /// Opens a recording. `hints` are the configuration's; a number is that of the PDM words in a ping, used for `.bin`, which
+    /// has no header of its own.
     ///
     /// # Errors
-    /// [`RecordingError`] when the file cannot be read, its name ends in none of `.npy`, `.bin` and `.mcap`, or it holds no ping.
-    pub fn open(path: &Path, words_per_ping: usize) -> Result<Self, RecordingError> {
-        Self::open_sensor(path, words_per_ping, 0)
+    /// [`RecordingError`] when the file cannot be read, its name ends in none of the kinds that are read, or it holds no ping.
+    pub fn open(path: &Path, hints: impl Into<FileHints>) -> Result<Self, RecordingError> {
+        Self::open_sensor(path, hints, 0)
     }
 
     /// As [`RecordingFile::open`]; of a recorded run, which holds all sensors, the pings of this one.
     ///
     /// # Errors
     /// As [`RecordingFile::open`].
-    pub fn open_sensor(path: &Path, words_per_ping: usize, sensor_index: usize) -> Result<Self, RecordingError> {
+    pub fn open_sensor(path: &Path, hints: impl Into<FileHints>, sensor_index: usize) -> Result<Self, RecordingError> {
         let io = |error| RecordingError::Io { path: path.to_owned(), error };
         // Asked before opening: to open a pipe would wait for its other end.
         let metadata = std::fs::metadata(path).map_err(io)?;
+        if metadata.is_dir() {
+            return Err(content(path, "a folder", KINDS));
+        }
         if !metadata.is_file() {
-            return Err(content(path, "no regular file", "a .npy, .bin or .mcap file"));
+            return Err(content(path, "no regular file", KINDS));
         }
         let file = File::open(path).map_err(io)?;
-        if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap")) {
+        if ending(path).as_deref() == Some("mcap") {
             return Self::open_run(path, sensor_index);
         }
-        let reader: Box<dyn Read + Send> = Box::new(BufReader::with_capacity(1 << 16, file));
-        Self::from_reader(path, reader, metadata.len(), words_per_ping)
+        let buffered = BufReader::with_capacity(1 << 16, file);
+        if ending(path).as_deref() == Some("npz") {
+            let array = BufReader::with_capacity(1 << 16, npz::open(path, buffered, None)?);
+            return Self::from_npy(path, Box::new(array));
+        }
+        Self::from_reader(path, Box::new(buffered), metadata.len(), hints)
     }
 
     fn open_run(path: &Path, sensor_index: usize) -> Result<Self, RecordingError> {
@@ -106,10 +164,28 @@ impl RecordingFile {
             other => RecordingError::Io { path: path.to_owned(), error: std::io::Error::other(other) },
         })?;
         let channel_count = (shape.format != SampleFormat::Pdm).then_some(shape.channel_count);
-        let bytes = vec![0; shape.bytes];
         let (format, sample_count, ping_count) = (shape.format, shape.sample_count, shape.count);
         let shape = RecordingShape { format, channel_count, sample_count, ping_count };
-        Ok(Self { path: path.to_owned(), reader: Box::new(pings), shape, pings_read: 0, bytes })
+        Self::new(path, Content::Plain(Box::new(pings)), shape)
+    }
+
+    /// Opens the array of that name in an archive (`.npz`), whose layout must be that of a recording.
+    ///
+    /// # Errors
+    /// As [`RecordingFile::open`].
+    pub fn open_array(path: &Path, name: &str) -> Result<Self, RecordingError> {
+        let file = File::open(path).map_err(|error| RecordingError::Io { path: path.to_owned(), error })?;
+        Self::from_npy(path, Box::new(BufReader::new(npz::open(path, BufReader::new(file), Some(name))?)))
+    }
+}
+
+impl<'a> RecordingFile<Box<dyn Read + 'a>> {
+    /// As [`RecordingFile::open`], for the bytes of an archive (`.npz`) that `source` gives.
+    ///
+    /// # Errors
+    /// As [`RecordingFile::open`].
+    pub fn from_archive(path: &Path, source: impl Read + Seek + 'a) -> Result<Self, RecordingError> {
+        Self::from_npy(path, Box::new(npz::open(path, source, None)?))
     }
 }
 
@@ -118,23 +194,39 @@ impl<R: Read> RecordingFile<R> {
     ///
     /// # Errors
     /// As [`RecordingFile::open`].
-    pub fn from_reader(path: &Path, mut reader: R, length: u64, words_per_ping: usize) -> Result<Self, RecordingError> {
-        let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
-        let shape = match extension.as_deref() {
-            Some("npy") => npy_shape(path, &mut reader)?,
-            Some("bin") => bin_shape(path, length, words_per_ping)?,
-            Some("mcap") => {
-                return Err(content(path, "an MCAP recording", "a .npy or .bin file"));
+    pub fn from_reader(
+        path: &Path,
+        reader: R,
+        length: u64,
+        hints: impl Into<FileHints>,
+    ) -> Result<Self, RecordingError> {
+        let hints = hints.into();
+        let (content, shape) = match ending(path).as_deref() {
+            Some("npy") => return Self::from_npy(path, reader),
+            Some("bin") => (Content::Plain(reader), bin_shape(path, length, hints.words_per_ping)?),
+            Some("wav") => {
+                let (wave, shape) = wav::Wave::open(path, reader, &hints)?;
+                (Content::Wave(Box::new(wave)), shape)
             }
-            _ => return Err(content(path, "another kind of file", "a name that ends in .npy, .bin or .mcap")),
+            Some("mcap") => {
+                return Err(content(path, "an MCAP recording", "a .npy, .wav or .bin file"));
+            }
+            _ => return Err(content(path, "another kind of file", KINDS)),
         };
+        Self::new(path, content, shape)
+    }
+
+    fn from_npy(path: &Path, mut reader: R) -> Result<Self, RecordingError> {
+        let shape = npy_shape(path, &mut reader)?;
+        Self::new(path, Content::Plain(reader), shape)
+    }
+
+    fn new(path: &Path, values: Content<R>, shape: RecordingShape) -> Result<Self, RecordingError> {
         let ping_bytes = ping_bytes(&shape);
         if ping_bytes == 0 || ping_bytes > PING_BYTES_MAX {
             return Err(content(path, format!("pings of {ping_bytes} bytes"), format!("1 to {PING_BYTES_MAX} bytes")));
         }
-        // Never more memory than the file has bytes: a header may claim anything.
-        let bytes = vec![0; ping_bytes.min(length) as usize];
-        Ok(Self { path: path.to_owned(), reader, shape, pings_read: 0, bytes })
+        Ok(Self { path: path.to_owned(), content: values, shape, pings_read: 0, bytes: Vec::new() })
     }
 
     /// What the file says of its pings.
@@ -157,27 +249,73 @@ impl<R: Read> RecordingFile<R> {
         if self.pings_read == self.shape.ping_count {
             return Ok(false);
         }
-        let wanted = ping_bytes(&self.shape) as usize;
-        let mut filled = 0;
-        while filled < self.bytes.len() {
-            match self.reader.read(&mut self.bytes[filled..]) {
-                Ok(0) => break,
-                Ok(count) => filled += count,
-                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(RecordingError::Io { path: self.path.clone(), error }),
+        let wanted = ping_bytes(&self.shape);
+        let filled = match &mut self.content {
+            Content::Plain(reader) => {
+                self.bytes.clear();
+                // Grows with what comes: a header may claim anything.
+                let read = reader.by_ref().take(wanted).read_to_end(&mut self.bytes);
+                read.map_err(|error| unreadable(&self.path, error))? as u64
             }
-        }
+            Content::Wave(wave) => {
+                let values = self.shape.sample_count * self.shape.channel_count.unwrap_or(1);
+                let value_bytes = wanted / values.max(1) as u64;
+                wave.read(&self.path, values, samples)? as u64 * value_bytes
+            }
+        };
         if filled < wanted {
             return Err(RecordingError::Truncated {
                 path: self.path.clone(),
                 complete_pings: self.pings_read,
-                found_bytes: filled as u64,
-                ping_bytes: wanted as u64,
+                found_bytes: filled,
+                ping_bytes: wanted,
             });
         }
-        decode(&self.bytes, self.shape.format, samples);
+        if matches!(self.content, Content::Plain(_)) {
+            decode(&self.bytes, self.shape.format, samples);
+        }
         self.pings_read += 1;
         Ok(true)
+    }
+}
+
+/// Reads an axis, `f64` of one or two dimensions, from a `.npy` or from the array of that name in a `.npz`; gives its values and the
+/// number of columns.
+///
+/// # Errors
+/// As [`RecordingFile::open`].
+pub fn read_axis(path: &Path, name: &str) -> Result<(Vec<f64>, usize), RecordingError> {
+    let file = File::open(path).map_err(|error| RecordingError::Io { path: path.to_owned(), error })?;
+    let file = BufReader::new(file);
+    let mut reader: Box<dyn Read> = match ending(path).as_deref() {
+        Some("npz") => Box::new(npz::open(path, file, Some(name))?),
+        _ => Box::new(file),
+    };
+    let header = read_npy_header(path, &mut reader)?;
+    let axis = || content(path, format!("{name} of another kind"), "f64 of one or two dimensions in C order");
+    let plain = matches!(header.dtype(), npyz::DType::Plain(kind) if kind.to_string() == "<f8");
+    let (rows, columns) = match *header.shape() {
+        [rows] => (rows, 1),
+        [rows, columns] => (rows, columns),
+        _ => return Err(axis()),
+    };
+    let count = rows.checked_mul(columns).filter(|count| *count <= AXIS_LEN_MAX);
+    let (true, npyz::Order::C, Some(count)) = (plain, header.order(), count) else { return Err(axis()) };
+    let mut bytes = Vec::new();
+    let read = reader.take(8 * count).read_to_end(&mut bytes);
+    read.map_err(|error| unreadable(path, error))?;
+    if bytes.len() as u64 != 8 * count {
+        return Err(content(path, format!("{name} that ends early"), format!("{count} values")));
+    }
+    Ok((bytemuck::pod_collect_to_vec(&bytes), columns as usize))
+}
+
+/// What a reader said: a damaged archive is bad data, everything else a failing disk.
+fn unreadable(path: &Path, error: std::io::Error) -> RecordingError {
+    use std::io::ErrorKind::{InvalidData, InvalidInput};
+    match error.kind() {
+        InvalidData | InvalidInput => content(path, format!("a damaged archive ({error})"), "an array that is whole"),
+        _ => RecordingError::Io { path: path.to_owned(), error },
     }
 }
 
@@ -338,7 +476,9 @@ mod tests {
             ("b.npy", npy(&[4], &[1.0_f32, 2.0, 3.0, 4.0]), "shape [4]"),
             ("c.npy", npy(&[1, 1, 1], &[1_u32]), "shape [1, 1, 1]"),
             ("d.npy", b"garbage".to_vec(), "no NumPy header"),
-            ("e.wav", vec![0; 8], "another kind of file"),
+            ("e.wav", vec![0; 8], "damaged file"),
+            ("g.mp3", vec![0; 8], "another kind of file"),
+            ("h.npz", vec![0; 8], "damaged archive"),
             ("f.bin", Vec::new(), "an empty file"),
         ] {
             let (_folder, path) = file(name, &bytes);

@@ -104,14 +104,26 @@ pub struct DaemonLock {
     name: Option<UnixListener>,
 }
 
+/// What every daemon's name outside of the file system begins with.
+pub(super) const DAEMON_NAMES: &str = "noctule-daemon-";
+
+/// The name, outside of the file system, of the daemon of a root and prefix of this user.
+pub(super) fn daemon_name(root: &Path, prefix: &str) -> String {
+    let hash = crc32fast::hash(root.as_os_str().as_encoded_bytes());
+    format!("{DAEMON_NAMES}{}-{prefix}{hash:08x}", rustix::process::geteuid().as_raw())
+}
+
+/// The file that a daemon locks.
+pub(super) fn lock_path(root: &Path, prefix: &str) -> PathBuf {
+    root.join(format!("{prefix}daemon.lock"))
+}
+
 /// Claims a name outside of the file system for the daemon of this root and prefix. `Err` with the holder's process, if it is
 /// one of this user; a name that another user squats is no use to us and no obstacle.
 #[cfg(target_os = "linux")]
 fn claim_name(root: &Path, prefix: &str) -> Result<Option<UnixListener>, u32> {
     let ours = rustix::process::geteuid();
-    let hash = crc32fast::hash(root.as_os_str().as_encoded_bytes());
-    let name = format!("noctule-daemon-{}-{prefix}{hash:08x}", ours.as_raw());
-    let Ok(address) = SocketAddr::from_abstract_name(name) else { return Ok(None) };
+    let Ok(address) = SocketAddr::from_abstract_name(daemon_name(root, prefix)) else { return Ok(None) };
     match UnixListener::bind_addr(&address) {
         Ok(listener) => Ok(listener.set_nonblocking(true).is_ok().then_some(listener)),
         Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
@@ -133,7 +145,7 @@ impl DaemonLock {
     /// # Errors
     /// [`IpcError::DaemonRunning`] naming the holder.
     pub(super) fn acquire(root: &Path, prefix: &str) -> Result<Self, IpcError> {
-        let path = root.join(format!("{prefix}daemon.lock"));
+        let path = lock_path(root, prefix);
         let cannot = |source| IpcError::CannotCreate { path: path.clone(), source };
         loop {
             let mut file = OpenOptions::new()

@@ -95,6 +95,23 @@ impl<'a> Session<'a> {
         Ok(FixedPublisher::new(port, topic, self.calls()))
     }
 
+    /// Processes that publish on a topic without header, now. The service is made if it does not exist.
+    pub(super) fn publishers<T>(&self, topic: &Topic) -> Result<Vec<u32>, IpcError>
+    where
+        T: WireType + ZeroCopySend + Debug,
+    {
+        self.climb(topic, |name| {
+            let service = open_service!(self, topic, self.node.service_builder(name).publish_subscribe::<T>());
+            let mut found = Vec::new();
+            service.dynamic_config().list_publishers(|publisher| {
+                let process = publisher.node_id.pid::<Transport>().ok();
+                found.extend(process.and_then(|process| u32::try_from(process.value()).ok()));
+                CallbackProgression::Continue
+            });
+            Ok(found)
+        })
+    }
+
     /// Subscriber of a topic without header. The service is made if it does not exist.
     pub(super) fn subscriber<T>(&self, topic: &Topic) -> Result<FixedSubscriber<T>, IpcError>
     where

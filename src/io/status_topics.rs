@@ -3,9 +3,9 @@
 use super::error::IpcError;
 use super::node::{Ipc, Needs, Registration};
 use super::ports::FixedSubscriber;
-use super::topics::Topic;
+use super::topics::{self, Topic};
 use super::wire::WireType;
-use super::wire::message::VelocityCommand;
+use super::wire::message::{VelocityCommand, VelocityInput};
 use super::wire::telemetry::{Cues, Health, PlatformVelocity};
 
 /// Listens to `noctule/health`, `noctule/cues`, `noctule/command` and `noctule/platform`.
@@ -15,6 +15,7 @@ pub struct StatusTopics {
     cues: FixedSubscriber<Cues>,
     command: FixedSubscriber<VelocityCommand>,
     platform: FixedSubscriber<PlatformVelocity>,
+    publishers: Vec<(String, Vec<u32>)>,
     _registration: Registration,
 }
 
@@ -24,17 +25,30 @@ impl StatusTopics {
     /// # Errors
     /// [`IpcError`].
     pub fn open(ipc: &Ipc) -> Result<Self, IpcError> {
-        let heard = [Topic::health(), Topic::cues(), Topic::command(), Topic::platform()];
+        let heard = [Topic::health(), Topic::cues(), Topic::command(), Topic::platform(), Topic::input()];
         let needs = heard.iter().fold(Needs::new(), Needs::subscriber);
-        let (registration, (health, cues, command, platform)) = ipc.set_up("noctule-status", needs, |session| {
-            Ok((
-                session.subscriber(&Topic::health())?,
-                session.subscriber(&Topic::cues())?,
-                session.subscriber(&Topic::command())?,
-                session.subscriber(&Topic::platform())?,
-            ))
-        })?;
-        Ok(Self { health, cues, command, platform, _registration: registration })
+        let (registration, (publishers, health, cues, command, platform)) =
+            ipc.set_up("noctule-status", needs, |session| {
+                let publishers = vec![
+                    (topics::COMMAND.to_owned(), session.publishers::<VelocityCommand>(&Topic::command())?),
+                    (topics::PLATFORM.to_owned(), session.publishers::<PlatformVelocity>(&Topic::platform())?),
+                    (topics::INPUT.to_owned(), session.publishers::<VelocityInput>(&Topic::input())?),
+                ];
+                Ok((
+                    publishers,
+                    session.subscriber(&Topic::health())?,
+                    session.subscriber(&Topic::cues())?,
+                    session.subscriber(&Topic::command())?,
+                    session.subscriber(&Topic::platform())?,
+                ))
+            })?;
+        Ok(Self { health, cues, command, platform, publishers, _registration: registration })
+    }
+
+    /// Processes that published on the topics that lead to motion, when these were opened.
+    #[must_use]
+    pub fn publishers(&self) -> &[(String, Vec<u32>)] {
+        &self.publishers
     }
 
     /// The newest health since the last call.

@@ -277,7 +277,7 @@ fn open_source(
             Ok(Box::new(RecordedSource::open(path)?))
         }
         SourceChoice::Replay(paths) => {
-            let words = wiring::words_per_ping(config);
+            let words = wiring::file_hints(config);
             Ok(Box::new(ReplaySource::open(paths, words, &empty_ping_set(setup), rate_hz)?))
         }
         SourceChoice::Live => {

@@ -4,6 +4,7 @@ use super::regions;
 use crate::config::Config;
 use crate::flow::MaskSet;
 use crate::imaging::plan::ImagingPlan;
+use crate::io::recording_file::FileHints;
 use crate::parameter::ParameterError;
 use crate::sensor::{RecordingFormat, RecordingParams, SensorSetup};
 use crate::signal::SampleFormat;
@@ -113,6 +114,21 @@ pub fn recording_for(
     }
     params.samples = Some(sample_count);
     params.resolve()
+}
+
+/// What the configuration says of recordings whose files do not say it themselves.
+#[must_use]
+pub fn file_hints(config: &Config) -> FileHints {
+    let pcm = config.recording.format != SampleFormat::Pdm;
+    let silent = config.recording == RecordingParams::default();
+    // Silence means the sensor's own rate. PDM has another rate than a file of PCM, which is refused for its format.
+    let rate_hz = || RecordingFormat::of(SampleFormat::PcmF32).sample_rate_hz;
+    let configured = pcm.then(|| config.recording.sample_rate_hz.unwrap_or_else(rate_hz));
+    FileHints {
+        words_per_ping: words_per_ping(config),
+        samples_per_ping: config.recording.samples.filter(|_| pcm),
+        sample_rate_hz: configured.or_else(|| silent.then(rate_hz)),
+    }
 }
 
 /// PDM words in a ping, for files that do not say.

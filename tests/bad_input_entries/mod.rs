@@ -40,6 +40,8 @@ pub const ENTRIES: &[Entry] = &[
     Entry { name: "recording_bin", run: recording_bin },
     Entry { name: "recording_mcap", run: recording_mcap },
     Entry { name: "ros_message", run: ros_message },
+    Entry { name: "recording_wav", run: recording_wav },
+    Entry { name: "recording_npz", run: recording_npz },
     Entry { name: "raw_header", run: raw_header },
     Entry { name: "command", run: command },
     Entry { name: "operator", run: operator },
@@ -151,14 +153,28 @@ fn recording_bin(bytes: &[u8]) -> bool {
     recording(Path::new("recording.bin"), rest, words.iter().fold(0, |sum, byte| sum << 8 | usize::from(*byte)))
 }
 
+fn recording_wav(bytes: &[u8]) -> bool {
+    recording(Path::new("recording.wav"), bytes, 64)
+}
+
+fn recording_npz(bytes: &[u8]) -> bool {
+    judge_recording(RecordingFile::from_archive(Path::new("recording.npz"), std::io::Cursor::new(bytes)), usize::MAX)
+}
+
 fn recording(path: &Path, bytes: &[u8], words_per_ping: usize) -> bool {
+    let opened = RecordingFile::from_reader(path, bytes, bytes.len() as u64, words_per_ping);
+    judge_recording(opened, bytes.len())
+}
+
+/// Reads all pings, of which there cannot be more than `count_max`.
+fn judge_recording<R: std::io::Read>(opened: Result<RecordingFile<R>, RecordingError>, count_max: usize) -> bool {
     let refused = |error: RecordingError| {
         let message = error.to_string();
         assert!(message.contains("recording."), "no file named: {message}");
         assert!(message.contains("found") || matches!(error, RecordingError::Io { .. }), "{message}");
         false
     };
-    let mut recording = match RecordingFile::from_reader(path, bytes, bytes.len() as u64, words_per_ping) {
+    let mut recording = match opened {
         Ok(recording) => recording,
         Err(error) => return refused(error),
     };
@@ -171,7 +187,7 @@ fn recording(path: &Path, bytes: &[u8], words_per_ping: usize) -> bool {
             Ok(true) => {
                 count += 1;
                 assert_eq!(samples.len(), shape.sample_count * shape.channel_count.unwrap_or(1));
-                assert!(count <= bytes.len(), "{count} pings of {} bytes", bytes.len());
+                assert!(count <= count_max, "{count} pings of {count_max} bytes");
             }
             Err(error) => return refused(error),
         }

@@ -3,6 +3,7 @@
 //! The last thing written for a recording is its `meta.json`, complete or not at all. It holds a [`Fingerprint`] of what the
 //! results were made from: while that is the same and the arrays stand beside it, there is nothing to do.
 
+use super::super::args::ExportFormat;
 use crate::config::Config;
 use crate::signal::Direction;
 use serde::{Deserialize, Serialize};
@@ -40,13 +41,11 @@ impl Fingerprint {
         let Ok(file) = std::fs::File::open(folder.join("meta.json")) else { return false };
         let Ok(meta) = serde_json::from_reader::<_, Meta>(std::io::BufReader::new(file)) else { return false };
         let size = |name: &str| std::fs::metadata(folder.join(name)).map_or(0, |metadata| metadata.len());
-        let arrays = ["directions_deg.npy", "ranges_m.npy"].iter().all(|name| size(name) > 0);
+        let of_npy = ["directions_deg.npy", "ranges_m.npy"].iter().all(|name| size(name) > 0)
+            && meta.energyscape_bytes == size("energyscape.npy");
+        let arrays = of_npy || meta.energyscape_bytes == size("energyscape.npz");
         let pictures = (0..meta.pictures).all(|index| size(&picture_name(index)) > 0);
-        meta.complete
-            && meta.fingerprint == *self
-            && meta.energyscape_bytes == size("energyscape.npy")
-            && arrays
-            && pictures
+        meta.complete && meta.fingerprint == *self && arrays && pictures
     }
 }
 
@@ -65,7 +64,7 @@ pub fn picture_name(ping_index: u64) -> String {
     format!("energyscape_{ping_index:05}.png")
 }
 
-/// A checksum over everything but the recording that the results depend on: version, backend asked for, pictures, and the
+/// A checksum over everything but the recording that the results depend on: version, backend asked for, pictures, kind of files, and the
 /// parts of the configuration that imaging knows, with the content of the files that it names.
 ///
 /// # Errors
@@ -74,7 +73,7 @@ pub fn settings(
     config: &Config,
     sensor_index: usize,
     backend: &str,
-    png: bool,
+    (png, format): (bool, ExportFormat),
 ) -> Result<String, crate::parameter::ParameterError> {
     let sensors = config.sensor_setups()?;
     let directions: Vec<Direction> = config.directions()?;
@@ -85,7 +84,7 @@ pub fn settings(
     // A checksum takes anything; formatting into it cannot fail.
     let _ = write!(
         sum,
-        "{} {backend} {png} {:?} {:?} {} {:?} {:?} {:?} {:?} {:?} {:?} {directions:?} {hidden:?}",
+        "{} {backend} {png} {format:?} {:?} {:?} {} {:?} {:?} {:?} {:?} {:?} {:?} {directions:?} {hidden:?}",
         env!("CARGO_PKG_VERSION"),
         config.recording,
         config.emission,
@@ -124,7 +123,7 @@ mod tests {
         let of = |change: fn(&mut Config)| {
             let mut config = Config::default();
             change(&mut config);
-            settings(&config, 0, "auto", false).expect("the built-in configuration")
+            settings(&config, 0, "auto", (false, ExportFormat::Npy)).expect("the built-in configuration")
         };
         let plain = of(|_| {});
         assert_eq!(plain, of(|config| config.control.rate_hz = 5.0), "the controller does not image");
@@ -140,7 +139,8 @@ mod tests {
         for change in changes {
             assert_ne!(plain, of(change));
         }
-        let other = |backend, png| settings(&Config::default(), 0, backend, png).expect("built in");
+        let other =
+            |backend, png| settings(&Config::default(), 0, backend, (png, ExportFormat::Npy)).expect("built in");
         assert_ne!(plain, other("cpu", false));
         assert_ne!(plain, other("auto", true));
     }

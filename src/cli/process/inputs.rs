@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 /// Endings of recordings, as a folder is searched for them.
-const RECORDINGS: [&str; 3] = ["npy", "bin", "mcap"];
+const RECORDINGS: [&str; 5] = ["npy", "npz", "wav", "bin", "mcap"];
 
 /// One of `count` equal parts of the work, counted from 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -110,7 +110,8 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
         }
     }
     if found.is_empty() {
-        let message = format!("{}: found no recording, allowed: files that end in .npy or .bin", folder.display());
+        let message =
+            format!("{}: found no recording, allowed: files that end in .npy, .npz, .wav or .bin", folder.display());
         return Err(Failure::new(exit::DATA, message));
     }
     Ok(found)

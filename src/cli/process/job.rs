@@ -1,10 +1,13 @@
-//! One recording to its four files: `energyscape.npy`, `directions_deg.npy`, `ranges_m.npy`, `meta.json`, and pictures.
+//! One recording to its four files: `energyscape.npy`, `directions_deg.npy`, `ranges_m.npy`, `meta.json`, and pictures; or the
+//! arrays together in `energyscape.npz`.
 //!
 //! In: a target and a [`Crew`] of imagers, kept from one recording to the next. Out: the files, each complete or not at all,
 //! `meta.json` last. What grows with the number of pings goes to disk as it comes.
 
+use super::super::args::ExportFormat;
 use super::super::output::{NewFile, make_folder, write_npy, write_picture};
 use super::super::{Failure, exit};
+use super::export;
 use super::finished::{Fingerprint, picture_name};
 use super::inputs::Target;
 use super::team::{self, Images};
@@ -47,8 +50,8 @@ impl Job<'_> {
     /// Exit 65 for a recording that cannot be used or ends in the middle of a ping, whose complete pings are imaged all the
     /// same; 69, 73, 74, 77, 78.
     pub fn run(&self, crew: &mut Option<Crew>) -> Result<(), Failure> {
-        let words = wiring::words_per_ping(self.batch.config);
-        let mut recording = RecordingFile::open_sensor(&self.target.input, words, self.batch.sensor_index)
+        let hints = wiring::file_hints(self.batch.config);
+        let mut recording = RecordingFile::open_sensor(&self.target.input, hints, self.batch.sensor_index)
             .map_err(|error| data_failure(&error))?;
         let Crew { setup, imagers } = self.crew(crew, recording.shape())?;
         let folder = &self.target.folder;
@@ -70,7 +73,11 @@ impl Job<'_> {
         meta["pings"] = json!(ended.count);
         meta["complete"] = json!(ended.cut_short.is_none());
         meta["pictures"] = json!(pictures);
-        meta["energyscape_bytes"] = json!(std::fs::metadata(folder.join("energyscape.npy"))?.len());
+        let arrays = match self.batch.arguments.format {
+            ExportFormat::Npy => folder.join("energyscape.npy"),
+            ExportFormat::Npz => export::into_archive(folder, &meta)?,
+        };
+        meta["energyscape_bytes"] = json!(std::fs::metadata(arrays)?.len());
         write_meta(&folder.join("meta.json"), &meta, channels)?;
         self.batch.bar.suspend(|| {
             log::info!("{}: {} pings imaged on {}", self.target.input.display(), ended.count, report.adapter);

@@ -4,6 +4,7 @@ use crate::cli::args::{ConditionArguments, ConfigChoice, SimulateArguments};
 use crate::cli::run::{load_world, prefer_pcm};
 use crate::cli::{Failure, exit};
 use crate::config::{Config, LAYOUT_NAMES};
+use crate::parameter::did_you_mean;
 use crate::service::proving::Entrant;
 use crate::service::trial::{SensorLoss, TrialRig};
 use crate::sim::{SimParams, World};
@@ -16,7 +17,14 @@ const DEFAULT: &str = "default";
 
 /// The world of that file, or the built-in one.
 pub fn world(path: &Path) -> Result<World, Failure> {
-    load_world((path.as_os_str() != OFFICE).then_some(path))
+    let named = path.to_string_lossy();
+    let bare = !named.contains(['/', '.', '\\']);
+    if bare && named != OFFICE && !path.exists() {
+        let near = did_you_mean(&named, [OFFICE]);
+        let message = format!("found no world {named}, allowed: {OFFICE} (built in), or a file{near}");
+        return Err(Failure::new(exit::DATA, message));
+    }
+    load_world((named != OFFICE).then_some(path))
 }
 
 /// The robots that were asked for, at least one, each once and in the order asked for.
@@ -76,7 +84,8 @@ fn layout_names(typed: &str) -> Result<Vec<String>, Failure> {
         let allowed = LAYOUT_NAMES.join(", ");
         let message = format!(
             "--layout: found {typed:?}, allowed: {allowed}, a number from 1 to 10 for sim-1 to sim-10, {DEFAULT}, or a group: \
-             sim, real, all"
+             sim, real, all{}",
+            did_you_mean(typed, LAYOUT_NAMES)
         );
         return Err(Failure::new(exit::USAGE, message));
     }
@@ -89,8 +98,9 @@ fn losses(conditions: &ConditionArguments, layout: &str, config: &Config) -> Res
         let sensor_index = index.ok_or_else(|| {
             let known: Vec<&str> = config.sensor.iter().map(|sensor| sensor.name.as_str()).collect();
             let message = format!(
-                "--lose: found {name:?}, allowed: a sensor of every robot; layout {layout} has {}",
-                known.join(", ")
+                "--lose: found {name:?}, allowed: a sensor of every robot; layout {layout} has {}{}",
+                known.join(", "),
+                did_you_mean(name, known.iter().copied())
             );
             Failure::new(exit::USAGE, message)
         })?;

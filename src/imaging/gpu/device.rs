@@ -81,6 +81,15 @@ pub fn adapters() -> Vec<AdapterDescription> {
     candidates(false).into_iter().map(|(_, description)| description).collect()
 }
 
+/// The interfaces that are looked at and that this build was compiled with.
+#[must_use]
+pub fn compiled_backends() -> Vec<&'static str> {
+    let compiled = BACKENDS & wgpu::Instance::enabled_backend_features();
+    let names =
+        [(wgpu::Backends::VULKAN, "Vulkan"), (wgpu::Backends::METAL, "Metal"), (wgpu::Backends::DX12, "Direct3D 12")];
+    names.into_iter().filter(|(backend, _)| compiled.contains(*backend)).map(|(_, name)| name).collect()
+}
+
 fn candidates(allow_software: bool) -> Vec<(wgpu::Adapter, AdapterDescription)> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = BACKENDS;

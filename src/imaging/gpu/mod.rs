@@ -24,7 +24,7 @@ mod timing;
 mod transform;
 mod work;
 
-pub use device::{AdapterDescription, AdapterKind, adapters};
+pub use device::{AdapterDescription, AdapterKind, adapters, compiled_backends};
 pub use params::{PARAMS_LAYOUT, Params};
 pub use readback::panic_is_a_lost_device;
 pub use work::{DispatchWork, Memory, PipelineUse, memory, pipelines, transfer_bytes, workload};

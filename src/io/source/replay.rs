@@ -3,7 +3,7 @@
 //! For looking at recordings with the whole daemon; `noctule process` is the way to reprocess them.
 
 use super::{Delivery, Source, SourceError};
-use crate::io::recording_file::{RecordingError, RecordingFile};
+use crate::io::recording_file::{FileHints, RecordingError, RecordingFile};
 use crate::signal::PingSet;
 use crate::time::{Clock, Stamp, SystemClock};
 use std::path::{Path, PathBuf};
@@ -19,19 +19,20 @@ pub struct ReplaySource {
 
 impl ReplaySource {
     /// Opens one recording for each sensor, in the order of the configuration; sensors without a file are absent.
-    /// `raw_lens` are the values that a ping of each sensor must have, for `words_per_ping` see [`RecordingFile::open`].
+    /// `raw_lens` are the values that a ping of each sensor must have, for `hints` see [`RecordingFile::open`].
     ///
     /// # Errors
     /// A file that cannot be read or does not fit the configuration.
     pub fn open(
         paths: &[PathBuf],
-        words_per_ping: usize,
+        hints: impl Into<FileHints>,
         expected: &PingSet,
         rate_hz: f64,
     ) -> Result<Self, SourceError> {
+        let hints = hints.into();
         let mut files = Vec::with_capacity(paths.len());
         for (path, ping) in paths.iter().zip(&expected.pings) {
-            let file = RecordingFile::open(path, words_per_ping)?;
+            let file = RecordingFile::open(path, hints)?;
             let shape = file.shape();
             let len = shape.sample_count * shape.channel_count.unwrap_or(1);
             if shape.format != ping.samples.format() || len != ping.samples.len() {
