@@ -86,18 +86,18 @@ fn noting_and_copying_allocate_nothing() {
     assert!(counted(|| drop(std::hint::black_box(vec![1_u8; 16]))) >= 1, "the measure sees one");
 }
 
-/// Twelve ping sets recorded by a writer that takes a quarter of a second for each image: longest time that the tape took, and the tally.
+/// Eight ping sets recorded by a writer that takes a fifth of a second for each image: longest time that the tape took, and the tally.
 fn beside_a_stalled_writer(path: &Path, patient: bool) -> (Duration, Tally) {
     let config = config();
     let mut subject = subject(&config);
     for scanner in &mut subject.scanners {
-        *scanner = Box::new(|_, _| std::thread::sleep(Duration::from_millis(250)));
+        *scanner = Box::new(|_, _| std::thread::sleep(Duration::from_millis(200)));
     }
     let mut drive = Drive::new(&config);
     let Recording { tap, recorder } = Recording::start(&options(path, patient, 3), subject).expect("started");
     let mut tape = Tape::new(tap, EPOCH, drive.begun());
     drive.tell(&mut tape, DaemonEvent::Started);
-    let longest = (0..12).map(|_| drive.ping_set(&mut tape)).max().unwrap_or_default();
+    let longest = (0..8).map(|_| drive.ping_set(&mut tape)).max().unwrap_or_default();
     drop(tape);
     (longest, recorder.finish(Duration::from_secs(60)).expect("finished"))
 }
@@ -108,11 +108,11 @@ fn a_stalled_writer_delays_no_command_and_what_it_misses_is_counted() {
     let path = folder.path().join("run.mcap");
     let (longest, tally) = beside_a_stalled_writer(&path, false);
     let told = format!("{:.1} ms", longest.as_secs_f64() * 1e3);
-    checks::figure(37, "longest wait of the deciding thread for a stalled recorder", told, "< 100 ms", 12);
+    checks::figure(37, "longest wait of the deciding thread for a stalled recorder", told, "< 100 ms", 8);
     // A copy of three pings and images takes 1 ms; a busy machine may take the processor away for some time slices. Waiting for the
-    // writer takes 750 ms.
+    // writer takes 600 ms.
     assert!(longest < Duration::from_millis(100), "{longest:?}");
-    assert!(tally.dropped_sets >= 3 && tally.dropped_notes == 0, "{tally:?}");
+    assert!(tally.dropped_sets >= 1 && tally.dropped_notes == 0, "{tally:?}");
     // What is missing is known in the file: its steps are there, without pings.
     let mut reader = RunReader::open(&path).expect("opened");
     let (mut with, mut without) = (0, 0);
@@ -124,7 +124,7 @@ fn a_stalled_writer_delays_no_command_and_what_it_misses_is_counted() {
             without += u64::from(step.has_pings == 0);
         }
     }
-    assert_eq!((with + without, without), (12, tally.dropped_sets));
+    assert_eq!((with + without, without), (8, tally.dropped_sets));
 
     // Negative control: a recorder that waits for a place is seen to delay.
     let (longest, tally) = beside_a_stalled_writer(&folder.path().join("patient.mcap"), true);

@@ -4,6 +4,7 @@
 mod checks;
 mod ipc_rig;
 mod namespace;
+mod record_rig;
 
 use checks::{figure, trials};
 use ipc_rig::Place;
@@ -256,4 +257,45 @@ fn a_recorder_of_its_own_hears_every_topic_of_a_running_daemon() {
     let meta = std::fs::read_to_string(images.join("meta.json")).expect("written");
     let meta: serde_json::Value = serde_json::from_str(&meta).expect("JSON");
     assert!(meta["pings"].as_u64().is_some_and(|pings| pings > 10) && meta["complete"] == true, "{meta}");
+}
+
+/// What was decided for each ping set of a recording: its number, and the bits of V, omega, layer and state.
+fn decisions(path: &Path) -> Vec<(u64, [u64; 4])> {
+    let mut reader = RunReader::open(path).expect("opened");
+    let (mut found, mut set) = (Vec::new(), None);
+    while let Some(entry) = reader.next_entry().expect("whole") {
+        match entry {
+            Entry::Step(step) => set = (step.kind == 1).then_some(step.set_sequence),
+            Entry::Command(command) => {
+                let motion = [command.linear_m_s.to_bits(), command.angular_rad_s.to_bits()];
+                let why = [u64::from(command.layer), u64::from(command.state)];
+                found.extend(set.take().map(|set| (set, [motion[0], motion[1], why[0], why[1]])));
+            }
+            _ => {}
+        }
+    }
+    found
+}
+
+#[test]
+fn a_recorded_run_as_the_source_of_a_daemon_leads_to_the_same_commands() {
+    let robot = Robot::new();
+    let folder = robot.place.directory.path();
+    let (run, again) = (folder.join("run.mcap"), folder.join("again.mcap"));
+    let config = noctule::config::Config { ipc: robot.place.params.clone(), ..record_rig::config() };
+    std::fs::write(&robot.config, config.to_toml()).expect("written");
+    record_rig::record(&config, &record_rig::patient(&run), 24).expect("recorded");
+    let mut source = std::ffi::OsString::from("replay:");
+    source.push(&run);
+    let mut command = robot.command(&["run", "--backend", "cpu"]);
+    let output = command.arg("--source").arg(source).arg("--record").arg(&again).output().expect("runs");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    let (then, now) = (decisions(&run), decisions(&again));
+    let moving = then.iter().filter(|(_, bits)| bits[0] != 0 || bits[1] != 0).count();
+    assert!(moving >= 5 && then.len() == 24, "the drive must drive: {then:?}");
+    // A machine that is busy may let the daemon miss a set, as it may any live one; up to there all is the same.
+    let same = then.iter().zip(&now).take_while(|(then, now)| then == now).count();
+    let missed = then.iter().zip(&now).take_while(|(then, now)| then.0 == now.0).count();
+    assert!(same == missed && same >= 12, "{same} the same, {missed} without a gap\n{then:?}\n{now:?}\n{said}");
 }

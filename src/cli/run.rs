@@ -12,6 +12,7 @@ use crate::io::{Ipc, IpcError, OperatorClient};
 use crate::life::panic::end_on_panic;
 use crate::life::{self, Stop};
 use crate::sensor::RecordingParams;
+use crate::service::replay::recorded_config;
 use crate::service::{self, ServiceError, SourceChoice};
 use crate::signal::SampleFormat;
 use crate::sim::World;
@@ -32,6 +33,12 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     end_on_panic(stop.flag());
     let mut config = super::config::load(&arguments.choice)?;
     let source = source_choice(&arguments.source, arguments.seed, &mut config)?;
+    if let (SourceChoice::Replay(paths), None) = (&source, &arguments.choice.config)
+        && let Some(run) = paths.first().filter(|path| service::is_mcap(path))
+    {
+        // A recorded run carries its configuration; where the topics are is this machine's matter.
+        config = Config { ipc: config.ipc, ..recorded_config(run).map_err(|error| service_failure(&error))? };
+    }
     let prefer = arguments.backend.map_or(config.imaging.backend, Into::into);
     let limit = arguments.duration.map(Duration::from_secs_f64);
     let record = arguments.record.options();

@@ -1,7 +1,7 @@
 //! The acquiring thread: asks the source for ping sets and hands them on, newest first. Never waits for the imaging.
 
 use super::handoff::Giver;
-use crate::io::source::{Delivery, Source, SourceError};
+use crate::io::source::{Delivery, Moment, Source, SourceError};
 use crate::signal::{PingSet, Velocity};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -18,6 +18,8 @@ pub struct Delivered {
     pub pings: PingSet,
     /// What the source itself asks for, if it has a guidance.
     pub wanted: Option<Velocity>,
+    /// What the pipeline was told with it, where the source is a recorded run.
+    pub moment: Option<Moment>,
 }
 
 /// A beat that a thread gives and a watcher counts.
@@ -53,6 +55,7 @@ pub fn start(
             match source.next_ping_set(&mut buffer.pings, WAIT)? {
                 Delivery::Set => {
                     buffer.wanted = source.wanted_velocity();
+                    buffer.moment = source.moment();
                     giver.give(&mut buffer);
                 }
                 Delivery::Nothing => {}

@@ -7,11 +7,13 @@ use super::acquisition::Delivered;
 use super::handoff::{Taken, Taker};
 use super::health::Reporter;
 use super::pipeline::{Outcome, Pipeline};
+use super::replay::{event_of, now_of};
 use super::tape::Tape;
 use super::watching::Progress;
 use crate::geometry::Pose2;
 use crate::io::DaemonTopics;
 use crate::io::record::Note;
+use crate::io::source::Moment;
 use crate::io::wire::message::{
     EnergyscapeHeader, FLAG_BACKEND_FALLBACK, FLAG_CHANNELS_LEFT_OUT, Odometry, Request, VelocityCommand, VelocityInput,
 };
@@ -189,10 +191,16 @@ impl DecisionLoop {
             self.tell(DaemonEvent::DeadlineMissed);
         }
         self.last_set_at = Some(begin);
+        let moment = delivered.moment.take();
+        if let Some(moment) = &moment {
+            self.tell_again(moment);
+        }
         self.last_emitted_at = emitted_at;
+        let begin = moment.as_ref().map_or(begin, |moment| moment.now);
         let wanted = self.wanted(delivered.wanted, begin);
         let pose = self.pose.filter(|(_, at)| begin.since_ns(*at) <= self.input_max_age_ns.cast_signed());
         let pose = pose.map(|(pose, _)| pose);
+        let (wanted, pose) = moment.map_or((wanted, pose), |moment| (moment.wanted, moment.pose));
         self.tape.before(begin, &delivered.pings, wanted, pose);
         let outcome = self.pipeline.process(begin, &mut delivered.pings, wanted, pose);
         match outcome {
@@ -260,8 +268,26 @@ impl DecisionLoop {
         }
     }
 
+    /// Tells the state machine what it was told in a recorded run. Its start and its end are this daemon's own.
+    fn tell_again(&mut self, moment: &Moment) {
+        for step in &moment.steps {
+            let event = match event_of(step) {
+                None | Some(DaemonEvent::Started | DaemonEvent::Terminate | DaemonEvent::InternalError) => continue,
+                Some(DaemonEvent::Operator(OperatorEvent::Arm { epoch, requested_at_ns })) => {
+                    let epoch = if epoch == moment.epoch { self.topics.epoch() } else { epoch };
+                    DaemonEvent::Operator(OperatorEvent::Arm { epoch, requested_at_ns })
+                }
+                Some(event) => event,
+            };
+            self.tell_at(event, now_of(step));
+        }
+    }
+
     fn tell(&mut self, event: DaemonEvent) -> DaemonOutput {
-        let now = SystemClock.now();
+        self.tell_at(event, SystemClock.now())
+    }
+
+    fn tell_at(&mut self, event: DaemonEvent, now: Stamp) -> DaemonOutput {
         self.tape.told(&event, now);
         let output = self.pipeline.tell(event, now);
         self.reporter.note(&output);

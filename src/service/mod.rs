@@ -209,7 +209,7 @@ fn drive_recorded(
     let topics = DaemonTopics::open(ipc, &names, &cells)?;
     let source = open_source(&setup)?;
     log::info!("source: {}", source.describe());
-    let empty = Delivered { pings: empty_ping_set(&setup), wanted: None };
+    let empty = Delivered { pings: empty_ping_set(&setup), wanted: None, moment: None };
     let epoch = topics.epoch();
     let begun = SystemClock.now();
     let pipeline = Pipeline::new(config, setup, masks, imager, epoch, begun);
@@ -295,7 +295,9 @@ fn open_source(
     }
 }
 
-fn is_mcap(path: &std::path::Path) -> bool {
+/// Whether a file is a recorded run, by its name.
+#[must_use]
+pub fn is_mcap(path: &std::path::Path) -> bool {
     path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
 }
 

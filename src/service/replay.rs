@@ -194,19 +194,7 @@ impl Run {
     }
 
     fn tell(&mut self, kind: StepKind, step: &PipelineStep) {
-        let event = match kind {
-            StepKind::Begin | StepKind::PingSet => return,
-            StepKind::Started => DaemonEvent::Started,
-            StepKind::Tick => DaemonEvent::Tick,
-            StepKind::DeadlineMissed => DaemonEvent::DeadlineMissed,
-            StepKind::Arm => {
-                DaemonEvent::Operator(OperatorEvent::Arm { epoch: step.epoch, requested_at_ns: step.requested_at_ns })
-            }
-            StepKind::Stop => DaemonEvent::Operator(OperatorEvent::Stop),
-            StepKind::Reset => DaemonEvent::Operator(OperatorEvent::Reset),
-            StepKind::InternalError => DaemonEvent::InternalError,
-            StepKind::Terminate => DaemonEvent::Terminate,
-        };
+        let Some(event) = event_of(step) else { return };
         let output = self.pipeline.tell(event, now_of(step));
         let stops = output.transition.is_some_and(|transition| !transition.to.allows_motion());
         let at_end = if kind == StepKind::Terminate { ZEROS_AT_END } else { 0 };
@@ -262,7 +250,24 @@ fn relative_l2(recorded: &[u8], now: &[f32]) -> f64 {
     if difference == 0.0 { 0.0 } else { (difference / norm).sqrt() }
 }
 
-fn now_of(step: &PipelineStep) -> Stamp {
+/// What the pipeline was told in a step that is no ping set.
+pub(super) fn event_of(step: &PipelineStep) -> Option<DaemonEvent> {
+    Some(match StepKind::from_number(step.kind)? {
+        StepKind::Begin | StepKind::PingSet => return None,
+        StepKind::Started => DaemonEvent::Started,
+        StepKind::Tick => DaemonEvent::Tick,
+        StepKind::DeadlineMissed => DaemonEvent::DeadlineMissed,
+        StepKind::Arm => {
+            DaemonEvent::Operator(OperatorEvent::Arm { epoch: step.epoch, requested_at_ns: step.requested_at_ns })
+        }
+        StepKind::Stop => DaemonEvent::Operator(OperatorEvent::Stop),
+        StepKind::Reset => DaemonEvent::Operator(OperatorEvent::Reset),
+        StepKind::InternalError => DaemonEvent::InternalError,
+        StepKind::Terminate => DaemonEvent::Terminate,
+    })
+}
+
+pub(super) fn now_of(step: &PipelineStep) -> Stamp {
     Stamp { boottime_ns: step.t_monotonic_ns, wall_ns: step.t_wall_ns }
 }
 

@@ -8,7 +8,10 @@ pub mod recorded;
 pub mod replay;
 pub mod simulator;
 
+use crate::geometry::Pose2;
+use crate::io::ros::PipelineStep;
 use crate::signal::{PingSet, Velocity};
+use crate::time::Stamp;
 use std::time::Duration;
 
 /// What a source had to give.
@@ -39,6 +42,21 @@ pub enum SourceError {
     Other(String),
 }
 
+/// What the pipeline was told around a set of a recorded run, with times moved to the present.
+#[derive(Debug, Clone)]
+pub struct Moment {
+    /// The "now" of the set.
+    pub now: Stamp,
+    /// The velocity that was wanted.
+    pub wanted: Velocity,
+    /// Where odometry said that the robot was.
+    pub pose: Option<Pose2>,
+    /// What the pipeline was told between the set before and this one.
+    pub steps: Vec<PipelineStep>,
+    /// The epoch of then, which arm requests carry.
+    pub epoch: u64,
+}
+
 /// One way for ping sets to come in.
 pub trait Source {
     /// Fills `pings` with the next ping set, waiting at most `limit`.
@@ -49,6 +67,11 @@ pub trait Source {
 
     /// The velocity that the source itself asks for, if it has a guidance (the simulator's waypoints).
     fn wanted_velocity(&self) -> Option<Velocity> {
+        None
+    }
+
+    /// For a set of a recorded run: what the pipeline was told with it, and before it.
+    fn moment(&mut self) -> Option<Moment> {
         None
     }
 

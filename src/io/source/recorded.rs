@@ -1,12 +1,14 @@
-//! A recorded run as a source: its raw pings at the pace at which they were recorded, stamped with the present.
+//! A recorded run as a source: its raw pings at the pace at which they were recorded, all times moved to the present by the same
+//! amount, and with each set what the pipeline was told then: wanted velocity, pose, operators' requests, "now".
 //!
-//! For looking at a recording with the whole daemon, with the wanted velocity of then. What differs from then is "now" itself;
-//! `noctule replay` repeats a run to the bit. Sensors keep the times between their emissions.
+//! So the same commands are made again. A recording of the topics alone does not say when the daemon heard what: there pings are put
+//! together by their times, and the wanted velocity is the newest.
 
-use super::{Delivery, Source, SourceError};
+use super::{Delivery, Moment, Source, SourceError};
+use crate::geometry::Pose2;
 use crate::io::record::reader::take_ping;
 use crate::io::record::{Entry, RunReader};
-use crate::io::ros::StepKind;
+use crate::io::ros::{PipelineStep, StepKind};
 use crate::signal::{PingSet, SENSORS_MAX, Velocity};
 use crate::time::{Clock, Stamp, SystemClock};
 use std::path::{Path, PathBuf};
@@ -24,7 +26,10 @@ pub struct RecordedSource {
     /// Whether the recording says which pings the pipeline saw together; else it is guessed from their times.
     has_steps: bool,
     wanted: Option<Velocity>,
-    next_wanted: Option<Velocity>,
+    /// The step of the set read last, and those before it.
+    step: Option<PipelineStep>,
+    steps: Vec<PipelineStep>,
+    epoch: u64,
     /// Present time minus recorded time, on both clocks.
     offset: Option<(u64, u64)>,
     over: bool,
@@ -42,7 +47,9 @@ impl RecordedSource {
             next: None,
             has_steps: false,
             wanted: None,
-            next_wanted: None,
+            step: None,
+            steps: Vec::new(),
+            epoch: 0,
             offset: None,
             over: false,
         })
@@ -61,16 +68,20 @@ impl RecordedSource {
                 }
                 Entry::Step(step) => {
                     self.has_steps = true;
-                    let is_set = StepKind::from_number(step.kind) == Some(StepKind::PingSet);
-                    if !is_set || set.iter_present().next().is_none() {
-                        continue;
+                    match StepKind::from_number(step.kind) {
+                        Some(StepKind::Begin) => self.epoch = step.epoch,
+                        Some(StepKind::PingSet) if set.iter_present().next().is_some() => {
+                            set.emitted_at =
+                                Stamp { boottime_ns: step.set_t_monotonic_ns, wall_ns: step.set_t_wall_ns };
+                            self.step = Some(step);
+                            return Ok(true);
+                        }
+                        _ => self.steps.push(step),
                     }
-                    self.next_wanted =
-                        Some(Velocity { linear_m_s: step.wanted_linear_m_s, angular_rad_s: step.wanted_angular_rad_s });
+                    continue;
                 }
                 Entry::Input(input) => {
-                    self.next_wanted =
-                        Some(Velocity { linear_m_s: input.linear_m_s, angular_rad_s: input.angular_rad_s });
+                    self.wanted = Some(Velocity { linear_m_s: input.linear_m_s, angular_rad_s: input.angular_rad_s });
                     continue;
                 }
                 _ => continue,
@@ -80,6 +91,15 @@ impl RecordedSource {
         }
         Ok(false)
     }
+}
+
+fn now_of(step: &PipelineStep) -> Stamp {
+    Stamp { boottime_ns: step.t_monotonic_ns, wall_ns: step.t_wall_ns }
+}
+
+/// A recorded time, moved to the present.
+fn moved(at: Stamp, (boottime_ns, wall_ns): (u64, u64)) -> Stamp {
+    Stamp { boottime_ns: at.boottime_ns.wrapping_add(boottime_ns), wall_ns: at.wall_ns.wrapping_add(wall_ns) }
 }
 
 /// Whether every sensor of the set has delivered for one emission. A sensor that is missing is waited for until the next emission.
@@ -123,10 +143,27 @@ impl Source for RecordedSource {
         std::thread::sleep(Duration::from_nanos(wait_ns));
         set.pings.iter_mut().for_each(|ping| ping.emitted_at = shifted(ping.emitted_at));
         set.emitted_at = shifted(set.emitted_at);
-        set.sequence = pings.sequence + 1;
+        set.sequence = self.step.as_ref().map_or(pings.sequence + 1, |step| step.set_sequence);
         *pings = set;
-        self.wanted = self.next_wanted;
         Ok(Delivery::Set)
+    }
+
+    fn moment(&mut self) -> Option<Moment> {
+        let (step, offset) = (self.step.take()?, self.offset?);
+        let mut steps = std::mem::take(&mut self.steps);
+        for step in &mut steps {
+            let now = moved(now_of(step), offset);
+            (step.t_monotonic_ns, step.t_wall_ns) = (now.boottime_ns, now.wall_ns);
+            step.requested_at_ns = step.requested_at_ns.wrapping_add(offset.0);
+        }
+        let pose = Pose2 { x_m: step.x_m, y_m: step.y_m, heading_rad: step.heading_rad };
+        Some(Moment {
+            now: moved(now_of(&step), offset),
+            wanted: Velocity { linear_m_s: step.wanted_linear_m_s, angular_rad_s: step.wanted_angular_rad_s },
+            pose: (step.has_pose != 0).then_some(pose),
+            steps,
+            epoch: self.epoch,
+        })
     }
 
     fn wanted_velocity(&self) -> Option<Velocity> {
