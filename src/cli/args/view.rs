@@ -14,6 +14,8 @@ pub const DEFAULT_LISTEN: &str = "127.0.0.1:8765";
   noctule view --config robot.toml --listen 0.0.0.0:8765
                                                    for the network: prints an address with a token of its own
   ssh -L 8765:127.0.0.1:8765 robot                 the loopback page of another machine, encrypted
+  noctule view --allow-origin https://app.foxglove.dev
+                                                   let Foxglove's web page connect as well
   curl http://127.0.0.1:8765/metrics               the numbers for Prometheus; /healthz is one word
 
 Foxglove and Lichtblick connect to ws://127.0.0.1:8765. The page only looks: it commands nothing.")]
@@ -27,7 +29,7 @@ pub struct ViewArguments {
     /// Elsewhere than on loopback one is made without it.
     #[arg(long, value_name = "T")]
     pub token: Option<String>,
-    /// Another site's page that may open the Foxglove socket, for example https://app.foxglove.dev; may be given repeatedly.
+    /// Origin of another site's page that may open the Foxglove socket, with its scheme (see the examples); may be given repeatedly.
     #[arg(long, value_name = "ORIGIN")]
     pub allow_origin: Vec<String>,
     /// End with the process at the other end of standard input, and take another port where this one is in use; for `demo`.
