@@ -113,6 +113,10 @@ fn a_driving_robot_is_well_and_a_stopped_one_is_told_with_its_reason() {
     let publishers = &report["publishers"];
     assert_eq!(publishers["noctule/command"], serde_json::json!([daemon.0.id()]), "{publishers}");
     assert_eq!(publishers["noctule/platform"], serde_json::json!([controller.0.id()]), "{publishers}");
+    // Topics go by their short names, too.
+    let rate = json(&run(&place, &["echo", "command", "--rate", "--count", "1", "--json"]));
+    assert!(rate["rate_hz"].as_f64().is_some_and(|rate_hz| (7.0..13.0).contains(&rate_hz)), "{rate}");
+    assert!(rate["age_ms"].as_f64().is_some_and(|age_ms| (0.0..1_000.0).contains(&age_ms)), "{rate}");
     // The doctor looks at the same time, and nothing changes.
     let checked = json(&run(&place, &["doctor", "--json"]));
     assert!(about(&checked, "processes")[0].1.contains(&format!("daemon: process {}", daemon.0.id())), "{checked}");

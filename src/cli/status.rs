@@ -87,7 +87,8 @@ pub fn status(arguments: &StatusArguments) -> Result<(), Failure> {
 
 fn take_look<'a>(config: &'a Config, stop: &AtomicBool) -> Result<Look<'a>, Failure> {
     let sensors: Vec<String> = config.sensor.iter().map(|sensor| sensor.name.clone()).collect();
-    let survey = Survey::take(&config.ipc, Topic::all(&sensors, config.recording.format));
+    let take_survey = || Survey::take(&config.ipc, Topic::all(&sensors, config.recording.format));
+    let survey = take_survey();
     if !survey.is_inhabited() {
         let message = format!(
             "nobody runs under {} with prefix {}: start `noctule demo`, or `noctule run` and `noctule controller`, with the same \
@@ -98,10 +99,15 @@ fn take_look<'a>(config: &'a Config, stop: &AtomicBool) -> Result<Look<'a>, Fail
         return Err(Failure::new(exit::UNAVAILABLE, message));
     }
     let ipc = Ipc::open(&config.ipc).map_err(|error| ipc_failure(&error))?;
-    let topics = StatusTopics::open(&ipc).map_err(|error| ipc_failure(&error))?;
+    let open = || StatusTopics::open(&ipc).map_err(|error| ipc_failure(&error));
+    let topics = open()?;
     let heard = listen(&topics, stop);
-    let publishers = topics.publishers().to_vec();
-    Ok(Look { config, survey, publishers, heard, now: SystemClock.now() })
+    let now = SystemClock.now();
+    drop(topics);
+    // Who lives is asked last: somebody may have started while we listened. Our own ports are gone by then.
+    let publishers = open()?.publishers().to_vec();
+    let survey = take_survey();
+    Ok(Look { config, survey, publishers, heard, now })
 }
 
 fn listen(topics: &StatusTopics, stop: &AtomicBool) -> Heard {

@@ -307,7 +307,8 @@ pub fn read_axis(path: &Path, name: &str) -> Result<(Vec<f64>, usize), Recording
     if bytes.len() as u64 != 8 * count {
         return Err(content(path, format!("{name} that ends early"), format!("{count} values")));
     }
-    Ok((bytemuck::pod_collect_to_vec(&bytes), columns as usize))
+    let values = bytes.as_chunks::<8>().0.iter().map(|eight| f64::from_le_bytes(*eight));
+    Ok((values.collect(), columns as usize))
 }
 
 /// What a reader said: a damaged archive is bad data, everything else a failing disk.
