@@ -361,7 +361,7 @@ fn what_is_typed_wrong_is_told_with_what_is_allowed_and_what_was_meant() {
         (
             &["process", &config, "--out", &folder],
             65,
-            "found another kind of file, allowed: a .npy, .npz, .wav or .bin",
+            "found another kind of file, allowed: a .npy, .npz, .wav, .bin or .mcap file",
         ),
         (&["process", &missing, "--out", &file], 73, "found a file where a folder is needed"),
         (&["process", &missing, "--out", &folder, "--sensor", "frnt"], 2, "did you mean front?"),

@@ -218,7 +218,7 @@ fn an_input_that_is_none_is_refused_by_name_with_65() {
         ("\"heading_deg\": 0", "\"heading\": 0", "heading"),
         ("[1, 0]]", "[0, 0]]", "edge"),
         ("{\"ranges_m\"", "{\"extra\": 1, \"ranges_m\"", "extra"),
-        (sound, "", "EOF"),
+        (sound, "", "found nothing"),
         (sound, "[]", "standard input"),
     ] {
         let (code, _, said) = detect("projection", &sound.replacen(change, to, 1));

@@ -62,12 +62,13 @@ impl RecordingArguments {
 
 /// `record`.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:
-  noctule record day1.mcap --duration 60
-  noctule record day1.mcap --record-split-mib 1024 --record-budget-mib 20480
-
+#[command(after_help = "\
 Records what passes on the topics, from a process of its own. The file is read by Foxglove, by ROS 2 (ros2 bag) and by the Python
-packages mcap-ros2-support and rosbags. To repeat a run to the bit, record it with noctule run --record.")]
+packages mcap-ros2-support and rosbags. To repeat a run to the bit, record it with noctule run --record.
+
+Examples:
+  noctule record day1.mcap --duration 60
+  noctule record day1.mcap --record-split-mib 1024 --record-budget-mib 20480")]
 pub struct RecordArguments {
     /// File to write; never overwritten: -2, -3 is added to its name.
     #[arg(value_name = "OUT.mcap")]

@@ -9,16 +9,16 @@ pub const DEFAULT_LISTEN: &str = "127.0.0.1:8765";
 
 /// `view`.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:
+#[command(after_help = "\
+Foxglove and Lichtblick connect to ws://127.0.0.1:8765. The page only looks: it commands nothing. /metrics has the numbers for
+Prometheus, /healthz is one word. From another machine, encrypted: ssh -L 8765:127.0.0.1:8765 robot
+
+Examples:
   noctule view                                     then open http://127.0.0.1:8765/
   noctule view --config robot.toml --listen 0.0.0.0:8765
                                                    for the network: prints an address with a token of its own
-  ssh -L 8765:127.0.0.1:8765 robot                 the loopback page of another machine, encrypted
   noctule view --allow-origin https://app.foxglove.dev
-                                                   let Foxglove's web page connect as well
-  curl http://127.0.0.1:8765/metrics               the numbers for Prometheus; /healthz is one word
-
-Foxglove and Lichtblick connect to ws://127.0.0.1:8765. The page only looks: it commands nothing.")]
+                                                   let Foxglove's web page connect as well")]
 pub struct ViewArguments {
     #[command(flatten)]
     pub choice: ConfigChoice,

@@ -110,8 +110,10 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
         }
     }
     if found.is_empty() {
-        let message =
-            format!("{}: found no recording, allowed: files that end in .npy, .npz, .wav or .bin", folder.display());
+        let message = format!(
+            "{}: found no recording, allowed: files that end in .npy, .npz, .wav, .bin or .mcap",
+            folder.display()
+        );
         return Err(Failure::new(exit::DATA, message));
     }
     Ok(found)
