@@ -10,6 +10,7 @@ use noctule::io::wire::message::VelocityCommand;
 use noctule::service::replay::{recorded_config, replay};
 use record_rig::{config, patient, record};
 use std::path::Path;
+use std::process::Command;
 
 const SETS: usize = 24;
 
@@ -155,4 +156,25 @@ fn a_reserve_that_is_reached_ends_the_recording_and_not_the_drive() {
     let error = record(&config(), &options, 2).expect_err("refused");
     assert_eq!(error.exit_code(), 73);
     assert!(error.to_string().contains("run.mcap") && !path.exists(), "{error}");
+}
+
+#[test]
+fn a_recorded_run_is_drawn_by_its_own_configuration_and_for_the_sensor_that_is_named() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("run.mcap");
+    record(&config(), &patient(&path), 2).expect("recorded");
+    let draw = |sensor: &str| {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_noctule"));
+        program.arg("plot").arg(&path).args(["--sensor", sensor, "--out"]).arg(folder.path().join(sensor));
+        program.output().expect("run")
+    };
+    let pictures = ["front", "left"].map(|sensor| {
+        let output = draw(sensor);
+        assert!(output.status.success(), "{output:?}");
+        std::fs::read(folder.path().join(sensor).join("heard_00000.png")).expect("a picture")
+    });
+    assert!(pictures[0].starts_with(b"\x89PNG"));
+    assert_ne!(pictures[0], pictures[1], "two sensors hear differently");
+    let stranger = draw("rear");
+    assert_eq!(stranger.status.code(), Some(2), "{stranger:?}");
 }

@@ -17,13 +17,15 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// Exit 2 for a ping that there is not, 65 for files of no use, 73, 74, 77, 78.
 pub fn plot(arguments: &PlotArguments) -> Result<(), Failure> {
-    let config = super::config::load(&arguments.choice)?;
-    let sensor_index = super::process::find_sensor(&config, arguments.sensor.as_deref())?;
     let mut drawn: Vec<(PathBuf, Picture)> = Vec::new();
     for input in &arguments.inputs {
         let pictures = match results::Results::find(input)? {
             Some(results) => results.draw(arguments.ping)?,
-            None => heard::draw(&config, sensor_index, input, arguments.ping)?,
+            None => {
+                let config = super::record::config_of_recording(input, &arguments.choice)?;
+                let sensor_index = super::process::find_sensor(&config, arguments.sensor.as_deref())?;
+                heard::draw(&config, sensor_index, input, arguments.ping)?
+            }
         };
         let stem = stem(input, arguments.inputs.len() > 1);
         for (name, picture) in pictures {

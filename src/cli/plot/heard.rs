@@ -30,7 +30,8 @@ pub fn draw(
     input: &Path,
     ping: u64,
 ) -> Result<Vec<(&'static str, Picture)>, Failure> {
-    let mut recording = RecordingFile::open(input, wiring::file_hints(config)).map_err(|error| data_failure(&error))?;
+    let mut recording = RecordingFile::open_sensor(input, wiring::file_hints(config), sensor_index)
+        .map_err(|error| data_failure(&error))?;
     let shape = recording.shape();
     let bad = |message: String| Failure::new(exit::DATA, format!("{}: {message}", input.display()));
     let format = wiring::recording_for(config, shape.format, shape.sample_count)

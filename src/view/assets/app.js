@@ -31,7 +31,8 @@ let drawn = null;
 let asked = false;
 
 const words = (name) => (name || "–").replaceAll("_", " ");
-const fixed = (value, digits) => (Number.isFinite(value) ? value.toFixed(digits).replace("-", "−") : "–");
+// Adding zero takes the sign from a zero that rounding made.
+const fixed = (value, digits) => (Number.isFinite(value) ? (+value.toFixed(digits) + 0).toFixed(digits).replace("-", "−") : "–");
 const seconds = (ms) => (ms < 9950 ? `${(Math.max(ms, 0) / 1000).toFixed(ms < 995 ? 2 : 1)} s` : ms < 120000 ? `${Math.round(ms / 1000)} s` : `${Math.round(ms / 60000)} min`);
 const energy = (value) => (!Number.isFinite(value) ? "–" : value === 0 ? "0" : value > 1e9 ? "∞" : value >= 10 ? value.toFixed(1) : value >= 0.1 ? value.toFixed(2) : value.toFixed(4));
 const degrees = (radians) => {
