@@ -130,8 +130,10 @@ mod tests {
         }
         queue.finish(Duration::from_secs(10));
         let text = String::from_utf8(written.lock().unwrap().clone()).unwrap();
-        assert!(text.contains("line 0\nline 1\n") && text.ends_with("last\n"), "{text}");
-        assert!(text.contains("lines of the log were dropped"), "{text}");
+        // How many are dropped, and between which lines that is told, hangs on when the threads ran.
+        let (told, lines): (Vec<&str>, Vec<&str>) = text.lines().partition(|line| line.contains("were dropped"));
+        assert!(lines.starts_with(&["line 0", "line 1"]) && lines.last() == Some(&"last"), "{text}");
+        assert!(!told.is_empty(), "{text}");
     }
 
     /// Panics when it is written to.
