@@ -9,7 +9,7 @@ use ipc_rig::{Base, Metronome, Place, is};
 use noctule::config::Config;
 use noctule::controller_process::{self, ControllerParams};
 use noctule::imaging::params::Prefer;
-use noctule::io::{InputPublisher, RawPublisher, RawShape, StatusTopics};
+use noctule::io::{InputPublisher, RawPublisher, StatusTopics};
 use noctule::service::{self, SourceChoice, simulator, wiring};
 use noctule::signal::{GateState, PingSet, SampleFormat, Velocity};
 use noctule::sim::{SimParams, World};
@@ -80,16 +80,10 @@ impl Driver {
             simulator.ping_set(Stamp::default(), &mut pings);
             pings
         });
-        let shape = |index: usize| RawShape {
-            format: setup.plan.format,
-            sample_rate_hz: setup.recording.sample_rate_hz,
-            channel_count: setup.plan.sensors[index].channel_count,
-            sample_count: setup.recording.samples,
-        };
-        let sensors = setup.sensors.iter().enumerate();
+        let sensors = setup.raw_shapes().into_iter();
         Self {
             publishers: sensors
-                .map(|(index, sensor)| RawPublisher::open(&place.ipc, &sensor.name, shape(index)).expect("driver"))
+                .map(|(sensor, shape)| RawPublisher::open(&place.ipc, &sensor, shape).expect("driver"))
                 .collect(),
             input: InputPublisher::open(&place.ipc, false).expect("input"),
             sets: sets.collect(),

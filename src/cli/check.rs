@@ -6,7 +6,7 @@ use super::{Failure, exit};
 use crate::config::Config;
 use crate::imaging::channels::ChannelFinding;
 use crate::imaging::direct_path::{ChannelMap, DirectPath, HEARD_MIN};
-use crate::io::recording_file::RecordingFile;
+use crate::io::recording_file::{RecordingFile, is_recording};
 use crate::service::wiring::{self, SensingSetup};
 use crate::signal::{RawPing, Samples};
 use crate::sim::World;
@@ -26,10 +26,9 @@ struct Report {
 /// # Errors
 /// Exit 1 with findings, 65 for a bad recording or world, 78 for a bad configuration.
 pub fn check(arguments: &CheckArguments) -> Result<(), Failure> {
-    let extension = arguments.file.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
-    let report = match extension.as_deref() {
-        Some("npy" | "npz" | "wav" | "bin" | "mcap") => check_recording(&arguments.file, &arguments.choice)?,
-        _ => check_document(&arguments.file)?,
+    let report = match is_recording(&arguments.file) {
+        true => check_recording(&arguments.file, &arguments.choice)?,
+        false => check_document(&arguments.file)?,
     };
     if arguments.json {
         print_line(

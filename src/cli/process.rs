@@ -19,7 +19,7 @@ use crate::config::Config;
 use crate::imaging::backend::{BackendError, BackendKind};
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
-use crate::io::recording_file::{RecordingError, RecordingFile};
+use crate::io::recording_file::{RecordingError, RecordingFile, is_mcap};
 use crate::parameter::did_you_mean;
 use crate::service::wiring;
 use crate::signal::{MaskTable, SENSORS_MAX};
@@ -70,8 +70,7 @@ type Waiting = (Target, Fingerprint);
 /// Exit 65 when any input is bad (after all were tried), 69 without the GPU asked for, 73, 74, 77, 78.
 pub fn process(arguments: &ProcessArguments) -> Result<(), Failure> {
     // The first run among the inputs speaks for all: they are imaged with one configuration.
-    let is_run = |path: &&PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"));
-    let first = arguments.inputs.iter().find(is_run).or(arguments.inputs.first());
+    let first = arguments.inputs.iter().find(|path| is_mcap(path)).or(arguments.inputs.first());
     let config = super::record::config_of_recording(first.map_or(Path::new(""), PathBuf::as_path), &arguments.choice)?;
     let sensor_index = find_sensor(&config, arguments.sensor.as_deref())?;
     let targets = inputs::targets(arguments)?;

@@ -5,9 +5,10 @@ use super::output::print_line;
 use super::run::{ipc_failure, service_failure, stop_flag};
 use super::{Failure, exit};
 use crate::config::Config;
+use crate::io::Ipc;
 use crate::io::record::topics::RecordTopics;
 use crate::io::record::{RecordError, RecordState, Recording};
-use crate::io::{Ipc, RawShape};
+use crate::io::recording_file::is_mcap;
 use crate::service::replay::{ReplayReport, recorded_config, replay as run_again};
 use crate::service::{tape, wiring};
 use crate::time::{Clock, SystemClock};
@@ -38,17 +39,9 @@ pub fn record(arguments: &RecordArguments) -> Result<(), Failure> {
     let mut options = arguments.limits.options(&arguments.out);
     options.slot_count = SLOT_COUNT;
     let ipc = Ipc::open(&config.ipc).map_err(|error| ipc_failure(&error))?;
-    let shape = |index: usize| RawShape {
-        format: setup.plan.format,
-        sample_rate_hz: setup.recording.sample_rate_hz,
-        channel_count: setup.plan.sensors[index].channel_count,
-        sample_count: setup.recording.samples,
-    };
-    let sensors: Vec<_> =
-        setup.sensors.iter().enumerate().map(|(index, sensor)| (sensor.name.clone(), shape(index))).collect();
     let subject = tape::subject(&config, &setup);
-    let mut topics =
-        RecordTopics::open(&ipc, &sensors, subject.pings.clone(), options.raw).map_err(|error| ipc_failure(&error))?;
+    let mut topics = RecordTopics::open(&ipc, &setup.raw_shapes(), subject.pings.clone(), options.raw)
+        .map_err(|error| ipc_failure(&error))?;
     let mut recording = Recording::start(&options, subject).map_err(|error| failure(&error))?;
     let begun = Instant::now();
     let limit = arguments.duration.map(Duration::from_secs_f64);
@@ -92,9 +85,8 @@ pub fn replay(arguments: &ReplayArguments) -> Result<(), Failure> {
 /// # Errors
 /// 65 for a run without one, 78.
 pub fn config_of_recording(file: &Path, choice: &ConfigChoice) -> Result<Config, Failure> {
-    let is_run = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"));
     match &choice.config {
-        None if is_run => recorded_config(file).map_err(|error| service_failure(&error)),
+        None if is_mcap(file) => recorded_config(file).map_err(|error| service_failure(&error)),
         _ => super::config::load(choice),
     }
 }

@@ -18,11 +18,9 @@ const PAUSE: Duration = Duration::from_millis(2);
 pub fn relay(arguments: &RelayArguments) -> Result<(), Failure> {
     let config = super::config::load(&arguments.choice)?;
     let setup = wiring::sensing(&config).map_err(|error| service_failure(&error.into()))?;
-    let names: Vec<String> = config.sensor.iter().map(|sensor| sensor.name.clone()).collect();
-    let cells = vec![setup.plan.grid.cell_count(); names.len()];
     let stop = stop_flag()?;
     let ipc = Ipc::open(&config.ipc).map_err(|error| ipc_failure(&error))?;
-    let relay = Relay::open(&ipc, &names, &cells).map_err(|error| ipc_failure(&error))?;
+    let relay = Relay::open(&ipc, &setup.sensor_names(), &setup.cell_counts()).map_err(|error| ipc_failure(&error))?;
     log::info!("passing on to noctule/relay/... under {}", ipc.root().display());
     let mut passed = 0;
     while !stop.load(Ordering::Relaxed) {

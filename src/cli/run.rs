@@ -6,6 +6,7 @@ use super::process::backend_failure;
 use super::{Failure, exit};
 use crate::config::Config;
 use crate::controller_process;
+use crate::io::recording_file::is_mcap;
 use crate::io::source::SourceError;
 pub use crate::io::wire::message::Request;
 use crate::io::{Ipc, IpcError, OperatorClient};
@@ -34,7 +35,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let mut config = super::config::load(&arguments.choice)?;
     let source = source_choice(&arguments.source, arguments.seed, &mut config)?;
     if let (SourceChoice::Replay(paths), None) = (&source, &arguments.choice.config)
-        && let Some(run) = paths.first().filter(|path| service::is_mcap(path))
+        && let Some(run) = paths.first().filter(|path| is_mcap(path))
     {
         // A recorded run carries its configuration; where the topics are is this machine's matter.
         config = Config { ipc: config.ipc, ..recorded_config(run).map_err(|error| service_failure(&error))? };

@@ -408,6 +408,12 @@ impl Default for EnergyParams {
 }
 
 impl EnergyParams {
+    /// The share of the loudest echo at its range, a factor, below which an echo may be a side lobe.
+    #[must_use]
+    pub fn side_lobe_share(&self) -> f64 {
+        10f64.powf(-self.side_lobe_db / 20.0)
+    }
+
     fn validate(&self) -> Result<(), ParameterError> {
         check_range("spreading_exponent", self.spreading_exponent, 0.0, 4.0)?;
         check_range("absorption_db_m", self.absorption_db_m, 0.0, 20.0)?;

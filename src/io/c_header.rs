@@ -3,7 +3,7 @@
 //! In: the tables of fields that [`super::wire`]'s types carry. Out: one text with a struct, its names and its hash a type, and an
 //! assertion for every offset, so that a compiler with other ideas of layout refuses it. Never lists a type by hand.
 
-use super::topics::Topic;
+use super::topics::{Topic, layouts};
 use super::wire::message::FLAG_EQUAL_DIRECTIONS;
 use super::wire::{Field, Primitive};
 use crate::signal::SampleFormat;
@@ -65,11 +65,7 @@ pub fn c_header() -> String {
         "\n/* Bit of an energyscape's flags: first direction and step tell all directions. */\n\
          #define NOCTULE_FLAG_EQUAL_DIRECTIONS {FLAG_EQUAL_DIRECTIONS}u"
     );
-    let topics = Topic::all(&["any".to_owned()], SampleFormat::Pdm);
-    let mut layouts: Vec<_> = topics.iter().flat_map(|topic| [topic.header, Some(topic.payload)]).flatten().collect();
-    layouts.sort_by_key(|layout| layout.type_name);
-    layouts.dedup_by_key(|layout| layout.type_name);
-    for layout in layouts.iter().filter(|layout| !layout.slice) {
+    for layout in layouts(&Topic::all(&["any".to_owned()], SampleFormat::Pdm)) {
         let hash = layout.schema_hash.unwrap_or(0);
         write_struct(&mut text, layout.type_name, layout.size, hash, layout.fields);
     }

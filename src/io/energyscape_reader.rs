@@ -7,7 +7,6 @@ use super::error::IpcError;
 use super::node::{Ipc, Needs, Registration};
 use super::ports::SliceSubscriber;
 use super::topics::Topic;
-use super::wire::WireType;
 use super::wire::message::EnergyscapeHeader;
 use std::cell::Cell;
 
@@ -39,11 +38,9 @@ impl EnergyscapeReader {
         let mut result = None;
         loop {
             let shown = self.images.next(|header, cells| {
-                let fits = header.schema_matches()
-                    && header.direction_count as usize * header.range_count as usize == cells.len();
                 // What a dead publisher left can come after its successor's.
                 let newer = header.t_monotonic_ns > self.newest_ns.get();
-                (fits && newer).then(|| {
+                (newer && header.describes(cells.len())).then(|| {
                     self.newest_ns.set(header.t_monotonic_ns);
                     read(header, cells)
                 })

@@ -4,8 +4,12 @@
 //! In: a path and what the configuration says of the data. Out: [`Samples`] of one ping at a time. A file that ends
 //! in the middle of a ping gives its complete pings and then one error. Never interprets samples.
 
+mod name;
 mod npz;
 mod wav;
+
+use name::ending;
+pub use name::{is_mcap, is_recording};
 
 use super::record::RecordError;
 use super::record::pings::RunPings;
@@ -117,11 +121,6 @@ enum Content<R> {
     Wave(Box<wav::Wave<R>>),
 }
 
-/// Ending of a file's name, in small letters.
-fn ending(path: &Path) -> Option<String> {
-    path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase())
-}
-
 impl RecordingFile {
     /// Opens a recording. `hints` are the configuration's; a number is that of the PDM words in a ping, used for `.bin`, which
     /// has no header of its own.
@@ -147,7 +146,7 @@ impl RecordingFile {
             return Err(content(path, "no regular file", KINDS));
         }
         let file = File::open(path).map_err(io)?;
-        if ending(path).as_deref() == Some("mcap") {
+        if is_mcap(path) {
             return Self::open_run(path, sensor_index);
         }
         let buffered = BufReader::with_capacity(1 << 16, file);

@@ -51,8 +51,6 @@ impl Images {
             sent?;
             passed += 1;
         }
-        // A link that comes later gets the newest image at once.
-        self.to.connect_latecomers()?;
         Ok(passed)
     }
 }

@@ -361,13 +361,22 @@ fn listed_json(params: &IpcParams, topics: &[Topic], format: SampleFormat) -> Va
     })
 }
 
+/// The types on these topics, each once, by name.
+#[must_use]
+pub fn layouts(topics: &[Topic]) -> Vec<Layout> {
+    let all = topics.iter().flat_map(|topic| [topic.header, Some(topic.payload)]).flatten();
+    let mut layouts: Vec<Layout> = all.filter(|layout| !layout.slice).collect();
+    layouts.sort_by_key(|layout| layout.type_name);
+    layouts.dedup_by_key(|layout| layout.type_name);
+    layouts
+}
+
 /// What `noctule topics` writes for people: every service, then every type with its fields.
 #[must_use]
 pub fn topics_table(params: &IpcParams, sensors: &[String], format: SampleFormat) -> String {
     let topics = Topic::all(sensors, format);
     let mut text = format!("root    {}\nprefix  {}\n\n", params.root_path().display(), params.prefix);
     let width = topics.iter().map(|topic| topic.name.len()).max().unwrap_or(0);
-    let mut layouts: Vec<Layout> = Vec::new();
     for topic in &topics {
         let payload = match topic.payload.slice {
             true => format!("[{}]", topic.payload.type_name),
@@ -375,11 +384,8 @@ pub fn topics_table(params: &IpcParams, sensors: &[String], format: SampleFormat
         };
         let header = topic.header.map_or(String::new(), |header| format!(", header {}", header.type_name));
         let _ = writeln!(text, "{:width$}  {payload}{header}; {}", topic.name, topic.route);
-        layouts.extend([topic.header, Some(topic.payload)].into_iter().flatten().filter(|layout| !layout.slice));
     }
-    layouts.sort_by_key(|layout| layout.type_name);
-    layouts.dedup_by_key(|layout| layout.type_name);
-    for layout in layouts {
+    for layout in layouts(&topics) {
         let hash = layout.schema_hash.unwrap_or(0);
         let _ = writeln!(
             text,

@@ -81,10 +81,8 @@ impl ViewTopics {
     /// Shows the newest energyscape of a sensor since the last call, in shared memory; `None` without one, for a sensor that
     /// is not there, and for a sample whose header does not describe it.
     pub fn energyscape<R>(&self, sensor_index: usize, read: impl FnOnce(&EnergyscapeHeader, &[f32]) -> R) -> Option<R> {
-        self.energyscapes.get(sensor_index)?.next(|header, values| {
-            let cells = u64::from(header.direction_count) * u64::from(header.range_count);
-            let sound = header.schema_matches() && cells == values.len() as u64 && cells > 0;
-            sound.then(|| read(header, values))
-        })?
+        self.energyscapes
+            .get(sensor_index)?
+            .next(|header, values| header.describes(values.len()).then(|| read(header, values)))?
     }
 }

@@ -7,7 +7,7 @@ use super::acquisition::Delivered;
 use super::handoff::{Taken, Taker};
 use super::health::Reporter;
 use super::pipeline::{Outcome, Pipeline};
-use super::replay::{event_of, now_of};
+use super::replay::event_of;
 use super::tape::Tape;
 use super::watching::Progress;
 use crate::geometry::Pose2;
@@ -279,7 +279,7 @@ impl DecisionLoop {
                 }
                 Some(event) => event,
             };
-            self.tell_at(event, now_of(step));
+            self.tell_at(event, step.now());
         }
     }
 

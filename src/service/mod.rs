@@ -34,6 +34,7 @@ use crate::imaging::backend::BackendError;
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
 use crate::io::record::{RecordError, RecordOptions, RecordState, Recorder, Recording};
+use crate::io::recording_file::is_mcap;
 use crate::io::source::live::LiveSource;
 use crate::io::source::recorded::RecordedSource;
 use crate::io::source::replay::ReplaySource;
@@ -41,7 +42,7 @@ use crate::io::source::simulator::SimulatorSource;
 use crate::io::source::{Source, SourceError};
 use crate::io::wire::message::EnergyscapeHeader;
 use crate::io::wire::telemetry::CueThresholds;
-use crate::io::{DaemonTopics, Ipc, IpcError, LiveTopics, RawShape};
+use crate::io::{DaemonTopics, Ipc, IpcError, LiveTopics};
 use crate::life::Stop;
 use crate::parameter::ParameterError;
 use crate::signal::PingSet;
@@ -204,9 +205,7 @@ fn drive_recorded(
     recording: Option<Result<Recording, RecordState>>,
 ) -> Result<(), ServiceError> {
     let Parts { setup, masks, imager } = parts;
-    let names: Vec<String> = setup.sensors.iter().map(|sensor| sensor.name.clone()).collect();
-    let cells = vec![setup.plan.grid.cell_count(); names.len()];
-    let topics = DaemonTopics::open(ipc, &names, &cells)?;
+    let topics = DaemonTopics::open(ipc, &setup.sensor_names(), &setup.cell_counts())?;
     let source = open_source(&setup)?;
     log::info!("source: {}", source.describe());
     let empty = Delivered { pings: empty_ping_set(&setup), wanted: None, moment: None };
@@ -281,24 +280,11 @@ fn open_source(
             Ok(Box::new(ReplaySource::open(paths, words, &empty_ping_set(setup), rate_hz)?))
         }
         SourceChoice::Live => {
-            let shape = |index: usize| RawShape {
-                format: setup.plan.format,
-                sample_rate_hz: setup.recording.sample_rate_hz,
-                channel_count: setup.plan.sensors[index].channel_count,
-                sample_count: setup.recording.samples,
-            };
-            let sensors: Vec<_> =
-                setup.sensors.iter().enumerate().map(|(index, sensor)| (sensor.name.clone(), shape(index))).collect();
+            let sensors = setup.raw_shapes();
             let topics = LiveTopics::open(ipc, &sensors)?;
             Ok(Box::new(LiveSource::new(topics, sensors.len(), config.safety.group_deadline())))
         }
     }
-}
-
-/// Whether a file is a recorded run, by its name.
-#[must_use]
-pub fn is_mcap(path: &std::path::Path) -> bool {
-    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
 }
 
 /// A simulator of the configured robot.

@@ -28,7 +28,7 @@ pub fn mask_params(control: &ControlParams, platform: &PlatformLimits) -> MaskPa
             absorption_db_m: control.energy.absorption_db_m,
         },
         noise_floor: NoiseFloor::configured(control.energy.noise_floor_dbfs.clone()),
-        side_lobe_share: 10f64.powf(-control.energy.side_lobe_db / 20.0),
+        side_lobe_share: control.energy.side_lobe_share(),
         footprint_radius_m: platform.radius_m,
         collision_threshold: control.collision_avoidance.threshold,
         blind_gap_m: control.coverage.blind_gap_m,

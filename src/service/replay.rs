@@ -8,7 +8,6 @@ use super::decision::ZEROS_AT_END;
 use super::pipeline::Pipeline;
 use super::{ServiceError, empty_ping_set, wiring};
 use crate::config::Config;
-use crate::geometry::Pose2;
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
 use crate::io::record::reader::take_ping;
@@ -16,7 +15,7 @@ use crate::io::record::{Cut, Entry, RecordError, RunReader};
 use crate::io::ros::{PipelineStep, StepKind};
 use crate::io::wire::message::VelocityCommand;
 use crate::safety::{DaemonEvent, OperatorEvent};
-use crate::signal::{PingSet, Velocity};
+use crate::signal::PingSet;
 use crate::time::Stamp;
 use std::collections::VecDeque;
 use std::path::Path;
@@ -136,7 +135,7 @@ impl Run {
         imager.announce();
         let sensors = setup.sensors.iter().map(|sensor| sensor.name.clone()).collect();
         Ok(Self {
-            pipeline: Pipeline::new(config, setup, masks, imager, step.epoch, now_of(step)),
+            pipeline: Pipeline::new(config, setup, masks, imager, step.epoch, step.now()),
             sensors,
             last_emitted_at: Stamp::default(),
             next_step: step.sequence + 1,
@@ -169,13 +168,11 @@ impl Run {
 
     fn ping_set(&mut self, step: &PipelineStep, heard: &mut PingSet) {
         heard.sequence = step.set_sequence;
-        heard.emitted_at = Stamp { boottime_ns: step.set_t_monotonic_ns, wall_ns: step.set_t_wall_ns };
-        let (emitted_at, now) = (heard.emitted_at, now_of(step));
+        heard.emitted_at = step.set_emitted_at();
+        let (emitted_at, now) = (heard.emitted_at, step.now());
         self.last_emitted_at = emitted_at;
         self.report.ping_sets += 1;
-        let wanted = Velocity { linear_m_s: step.wanted_linear_m_s, angular_rad_s: step.wanted_angular_rad_s };
-        let pose = Pose2 { x_m: step.x_m, y_m: step.y_m, heading_rad: step.heading_rad };
-        match self.pipeline.process(now, heard, wanted, (step.has_pose != 0).then_some(pose)) {
+        match self.pipeline.process(now, heard, step.wanted(), step.pose()) {
             Ok(outcome) => {
                 let (decision, output) = (&outcome.decision, &outcome.output);
                 let made = VelocityCommand::from_decision(decision, outcome.velocity, output.state, output.reason);
@@ -195,7 +192,7 @@ impl Run {
 
     fn tell(&mut self, kind: StepKind, step: &PipelineStep) {
         let Some(event) = event_of(step) else { return };
-        let output = self.pipeline.tell(event, now_of(step));
+        let output = self.pipeline.tell(event, step.now());
         let stops = output.transition.is_some_and(|transition| !transition.to.allows_motion());
         let at_end = if kind == StepKind::Terminate { ZEROS_AT_END } else { 0 };
         for _ in 0..usize::from(stops) + at_end {
@@ -265,10 +262,6 @@ pub(super) fn event_of(step: &PipelineStep) -> Option<DaemonEvent> {
         StepKind::InternalError => DaemonEvent::InternalError,
         StepKind::Terminate => DaemonEvent::Terminate,
     })
-}
-
-pub(super) fn now_of(step: &PipelineStep) -> Stamp {
-    Stamp { boottime_ns: step.t_monotonic_ns, wall_ns: step.t_wall_ns }
 }
 
 /// What was decided, without what the publisher adds.

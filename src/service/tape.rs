@@ -149,8 +149,7 @@ impl Tape {
     }
 
     fn step(&mut self, step: PipelineStep) {
-        let now = Stamp { boottime_ns: step.t_monotonic_ns, wall_ns: step.t_wall_ns };
-        self.note(now, Note::Step(step));
+        self.note(step.now(), Note::Step(step));
     }
 
     /// Logs what was lost: the first time and then ever more rarely.
@@ -190,7 +189,6 @@ pub fn subject(config: &Config, setup: &SensingSetup) -> RecordSubject {
         format: setup.recording,
         pings: super::empty_ping_set(setup),
         period_s: 1.0 / config.control.rate_hz,
-        speed_of_sound_m_s: setup.speed_of_sound_m_s,
         config_toml: config.to_toml(),
         scanners: (0..setup.sensors.len()).map(scanner).collect(),
     }

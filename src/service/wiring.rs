@@ -4,6 +4,7 @@ use super::regions;
 use crate::config::Config;
 use crate::flow::MaskSet;
 use crate::imaging::plan::ImagingPlan;
+use crate::io::RawShape;
 use crate::io::recording_file::FileHints;
 use crate::parameter::ParameterError;
 use crate::sensor::{RecordingFormat, RecordingParams, SensorSetup};
@@ -25,6 +26,32 @@ pub struct SensingSetup {
     pub hidden: Vec<String>,
     /// What was ignored.
     pub warnings: Vec<String>,
+}
+
+impl SensingSetup {
+    /// The sensors' names, in the order of the plan.
+    #[must_use]
+    pub fn sensor_names(&self) -> Vec<String> {
+        self.sensors.iter().map(|sensor| sensor.name.clone()).collect()
+    }
+
+    /// Cells of each sensor's energyscape.
+    #[must_use]
+    pub fn cell_counts(&self) -> Vec<usize> {
+        vec![self.plan.grid.cell_count(); self.sensors.len()]
+    }
+
+    /// Each sensor's name and what its raw pings must look like.
+    #[must_use]
+    pub fn raw_shapes(&self) -> Vec<(String, RawShape)> {
+        let shape = |index: usize| RawShape {
+            format: self.plan.format,
+            sample_rate_hz: self.recording.sample_rate_hz,
+            channel_count: self.plan.sensors[index].channel_count,
+            sample_count: self.recording.samples,
+        };
+        self.sensor_names().into_iter().enumerate().map(|(index, name)| (name, shape(index))).collect()
+    }
 }
 
 /// Plans for all configured sensors.
@@ -132,8 +159,7 @@ pub fn file_hints(config: &Config) -> FileHints {
 }
 
 /// PDM words in a ping, for files that do not say.
-#[must_use]
-pub fn words_per_ping(config: &Config) -> usize {
+fn words_per_ping(config: &Config) -> usize {
     match config.recording.format {
         SampleFormat::Pdm => config.recording.samples,
         SampleFormat::PcmI16 | SampleFormat::PcmF32 => None,

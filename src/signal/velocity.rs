@@ -65,6 +65,12 @@ impl LayerName {
         LayerName::Stopped,
     ];
 
+    /// The one with this number, if there is one.
+    #[must_use]
+    pub fn from_number(number: u32) -> Option<Self> {
+        LayerName::ALL.get(number as usize).copied()
+    }
+
     /// The name as configuration, JSON and file names write it.
     #[must_use]
     pub fn as_str(self) -> &'static str {

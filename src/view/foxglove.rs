@@ -62,15 +62,15 @@ impl Kind {
     fn topic(self, robot: &Robot) -> String {
         let sonar = |index: usize, leaf: &str| {
             let name = robot.sensors.get(index).map_or("", |sensor| sensor.name.as_str());
-            format!("/noctule/sonar/{name}/{leaf}")
+            ros::sonar_topic(name, leaf)
         };
         match self {
             Kind::Image(index) => sonar(index, "energyscape"),
             Kind::Scan(index) => sonar(index, "scan"),
-            Kind::Command => "/noctule/cmd_vel".to_owned(),
-            Kind::Platform => "/noctule/platform_vel".to_owned(),
-            Kind::Diagnostics => "/diagnostics".to_owned(),
-            Kind::Mounts => "/tf_static".to_owned(),
+            Kind::Command => ros::COMMAND_TWIST_TOPIC.to_owned(),
+            Kind::Platform => ros::PLATFORM_TWIST_TOPIC.to_owned(),
+            Kind::Diagnostics => ros::DIAGNOSTICS_TOPIC.to_owned(),
+            Kind::Mounts => ros::MOUNTS_TOPIC.to_owned(),
         }
     }
 
@@ -353,9 +353,8 @@ impl Scanner {
             let count = header.range_count as usize;
             let grid = Arc::new(PolarGrid::new(directions, header.range_first_m, header.range_step_m, count));
             let floor = NoiseFloor::configured(robot.energy.noise_floor_dbfs.clone());
-            let share = 10f64.powf(-robot.energy.side_lobe_db / 20.0);
             let hidden = &robot.sensors.get(index)?.hidden;
-            let scanner = RangeScanner::new(&grid, hidden, |range_m| floor.at(range_m), share);
+            let scanner = RangeScanner::new(&grid, hidden, |range_m| floor.at(range_m), robot.energy.side_lobe_share());
             let scan = RangeScan::unseen(Arc::clone(&grid), index);
             *place = Some(Self { scanner, image: Energyscape::zeros(grid, index), scan });
         }

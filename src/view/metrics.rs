@@ -5,10 +5,9 @@
 
 use super::board::{LATENCY_BOUNDS_S, Moment};
 use super::server::Shared;
-use super::why::layer_of;
-use crate::io::wire::message::backend_name;
+use crate::io::wire::message::{backend_name, layer_name};
 use crate::io::wire::telemetry::Health;
-use crate::signal::{DaemonState, GateState, LayerName};
+use crate::signal::{DaemonState, GateState};
 use crate::time::{Clock, SystemClock};
 use axum::extract::State;
 use axum::http::{StatusCode, header};
@@ -115,7 +114,7 @@ fn counted_here(page: &mut Page, moment: &Moment, sensors: &[String], [pages, pl
         "Commands heard by this page's process, by the layer that decided.",
     );
     for (number, count) in counts.layers.iter().enumerate() {
-        let layer = layer_of(number as u32).map_or("unknown", LayerName::as_str);
+        let layer = layer_name(number as u32).unwrap_or("unknown");
         page.sample("noctule_commands_by_layer_total", &[("layer", layer)], *count as f64);
     }
     page.family("noctule_energyscapes_total", "counter", "Energyscapes heard by this page's process, by sensor.");
@@ -160,7 +159,7 @@ fn daemon_counts(page: &mut Page, health: &Health) {
 }
 
 fn sensor_health(page: &mut Page, health: &Health, sensors: &[String]) {
-    let present = |index: usize| f64::from((health.sensors_present >> index) & 1);
+    let present = |index: usize| f64::from(u8::from(health.delivers(index)));
     let families: [(&str, &str, &str, &dyn Fn(usize) -> f64); 4] = [
         ("noctule_sensor_present", "gauge", "1 when the sensor delivered in the newest ping set.", &present),
         ("noctule_bad_channels", "gauge", "Channels left out of the image.", &|index| {

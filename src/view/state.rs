@@ -148,7 +148,7 @@ fn sensor_json(moment: &Moment, index: usize) -> Value {
     let image = moment.images.get(index).and_then(Option::as_ref);
     let peak = image.map(|image| f64::from(image.peak)).filter(|peak| *peak > 0.0);
     json!({
-        "delivers": health.map(|health| health.sensors_present & (1 << index) != 0),
+        "delivers": health.map(|health| health.delivers(index)),
         "bad_channels": health.map(|health| health.bad_channel_count[index]),
         "rejected": health.map(|health| health.rejected_count[index]),
         "gaps": health.map(|health| health.gap_count[index]),

@@ -14,12 +14,6 @@ const STANDING_M_S: f64 = 5e-3;
 /// Slower than this counts as not turning.
 const STRAIGHT_RAD_S: f64 = 0.02;
 
-/// The layer with this number.
-#[must_use]
-pub fn layer_of(number: u32) -> Option<LayerName> {
-    LayerName::ALL.get(number as usize).copied()
-}
-
 /// A name as people write it: `view_missing` is "view missing".
 #[must_use]
 pub fn words(name: &str) -> String {
@@ -75,7 +69,7 @@ pub fn motion_words(linear_m_s: f64, angular_rad_s: f64) -> String {
 #[must_use]
 pub fn why(command: &VelocityCommand, cues: Option<&Cues>, robot: &Robot) -> String {
     let motion = motion_words(command.linear_m_s, command.angular_rad_s);
-    let Some(layer) = layer_of(command.layer) else {
+    let Some(layer) = LayerName::from_number(command.layer) else {
         return format!("The robot {motion}; layer {} is unknown to this page.", command.layer);
     };
     let mut text = match layer {

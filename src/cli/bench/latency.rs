@@ -147,17 +147,11 @@ struct Driver {
 
 impl Driver {
     fn open(ipc: &Ipc, setup: &SensingSetup, sets: Vec<PingSet>) -> Result<Self, Failure> {
-        let publisher = |(index, sensor): (usize, &crate::sensor::SensorSetup)| {
-            let shape = RawShape {
-                format: setup.plan.format,
-                sample_rate_hz: setup.recording.sample_rate_hz,
-                channel_count: setup.plan.sensors[index].channel_count,
-                sample_count: setup.recording.samples,
-            };
-            RawPublisher::open(ipc, &sensor.name, shape).map_err(|error| ipc_failure(&error))
+        let publisher = |(sensor, shape): (String, RawShape)| {
+            RawPublisher::open(ipc, &sensor, shape).map_err(|error| ipc_failure(&error))
         };
         Ok(Self {
-            publishers: setup.sensors.iter().enumerate().map(publisher).collect::<Result<_, _>>()?,
+            publishers: setup.raw_shapes().into_iter().map(publisher).collect::<Result<_, _>>()?,
             input: InputPublisher::open(ipc, false).map_err(|error| ipc_failure(&error))?,
             sets,
             recording_ns: (setup.recording.duration_s() * 1e9) as u64,

@@ -3,7 +3,7 @@
 use super::Line;
 use crate::config::Config;
 use crate::io::survey::Survey;
-use crate::io::{DaemonTopics, RawPublisher, RawShape, free_bytes_of};
+use crate::io::{DaemonTopics, RawPublisher, free_bytes_of};
 use crate::service::wiring;
 use rustix::process::{Resource, getrlimit};
 use std::path::Path;
@@ -34,18 +34,8 @@ struct Sizes {
 impl Sizes {
     fn of(config: &Config) -> Result<Self, String> {
         let setup = wiring::sensing(config).map_err(|error| error.to_string())?;
-        let sensors: Vec<String> = setup.sensors.iter().map(|sensor| sensor.name.clone()).collect();
-        let cells = vec![setup.plan.grid.cell_count(); sensors.len()];
-        let shape = |channel_count| RawShape {
-            format: setup.recording.format,
-            sample_rate_hz: setup.recording.sample_rate_hz,
-            channel_count,
-            sample_count: setup.recording.samples,
-        };
-        let raw = setup
-            .sensors
-            .iter()
-            .map(|sensor| RawPublisher::needed_bytes(&sensor.name, shape(sensor.array.channel_count())));
+        let (sensors, cells) = (setup.sensor_names(), setup.cell_counts());
+        let raw = setup.raw_shapes().into_iter().map(|(sensor, shape)| RawPublisher::needed_bytes(&sensor, shape));
         Ok(Self {
             daemon_bytes: DaemonTopics::needed_bytes(&sensors, &cells),
             raw_bytes: raw.sum(),

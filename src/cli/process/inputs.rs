@@ -5,12 +5,10 @@
 
 use super::super::args::ProcessArguments;
 use super::super::{Failure, exit};
+use crate::io::recording_file::is_recording;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-
-/// Endings of recordings, as a folder is searched for them.
-const RECORDINGS: [&str; 5] = ["npy", "npz", "wav", "bin", "mcap"];
 
 /// One of `count` equal parts of the work, counted from 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -103,9 +101,7 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     for entry in std::fs::read_dir(folder).map_err(failure)? {
         let path = entry.map_err(failure)?.path();
         let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-        let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
-        let known = extension.is_some_and(|extension| RECORDINGS.contains(&extension.as_str()));
-        if known && !hidden && !path.is_dir() {
+        if is_recording(&path) && !hidden && !path.is_dir() {
             found.push(path);
         }
     }

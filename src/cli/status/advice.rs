@@ -97,7 +97,7 @@ fn pings(look: &Look, all: &mut Vec<Finding>) {
         ));
     }
     for (index, sensor) in look.config.sensor.iter().enumerate() {
-        let (name, present) = (&sensor.name, health.sensors_present >> index & 1 == 1);
+        let (name, present) = (&sensor.name, health.delivers(index));
         if !present && health.ping_set_count > 0 {
             all.push(finding(
                 format!("sensor {name} does not deliver"),

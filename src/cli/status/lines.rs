@@ -108,7 +108,7 @@ impl Look<'_> {
                 .map(|milliseconds| number(milliseconds, 1));
         line(text, "latency", &format!("{newest} ms; p50 {p50}, p99 {p99}, largest {max} (last sample to command)"));
         for (index, sensor) in self.config.sensor.iter().enumerate() {
-            let delivers = if health.sensors_present >> index & 1 == 1 { "delivers" } else { "SILENT" };
+            let delivers = if health.delivers(index) { "delivers" } else { "SILENT" };
             let told = format!(
                 "{}: {delivers}, {} channels left out, {} pings rejected, {} gaps",
                 sensor.name, health.bad_channel_count[index], health.rejected_count[index], health.gap_count[index]
@@ -132,7 +132,7 @@ impl Look<'_> {
             .map(|(index, sensor)| {
                 json!({
                     "name": sensor.name,
-                    "delivers": health.map(|health| health.sensors_present >> index & 1 == 1),
+                    "delivers": health.map(|health| health.delivers(index)),
                     "channels_left_out": health.map(|health| health.bad_channel_count[index]),
                     "pings_rejected": health.map(|health| health.rejected_count[index]),
                     "gaps": health.map(|health| health.gap_count[index]),

@@ -3,8 +3,8 @@
 //! A chunk is checked before anything of it is given. A file that was cut off gives its whole chunks and then says how much was
 //! lost; one that is damaged elsewhere is an error. Never takes more memory than the file's size can justify.
 
-use super::RecordError;
 use super::file::CONFIG_NAME;
+use super::{Cut, RawMessage, RecordError};
 use mcap::McapError;
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -18,23 +18,6 @@ const EXPANSION_MAX: u64 = 255;
 const RECORD_BYTES_MAX: u64 = 1 << 30;
 /// Most bytes asked for at a time: a length in a damaged file must not become memory.
 const STEP_BYTES: usize = 1 << 16;
-
-/// One message.
-pub(super) struct RawMessage<'a> {
-    pub topic: &'a str,
-    pub data: &'a [u8],
-}
-
-/// What was lost of a file that was cut off.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Cut {
-    /// Bytes up to the end of the last whole chunk.
-    pub whole_bytes: u64,
-    /// Bytes after it.
-    pub lost_bytes: u64,
-    /// Messages that were read.
-    pub messages: u64,
-}
 
 pub(super) struct MessageReader<R> {
     path: PathBuf,

@@ -23,7 +23,7 @@ pub mod topics;
 mod volume;
 mod writer;
 
-pub use reader::{Cut, Entry, RunReader};
+pub use reader::{Entry, RunReader};
 pub use slots::{Note, Slot, Tap};
 pub use writer::{RecordState, Recorder, Recording, Tally};
 
@@ -91,12 +91,27 @@ pub struct RecordSubject {
     pub pings: PingSet,
     /// From one ping set to the next.
     pub period_s: f64,
-    /// Speed of sound.
-    pub speed_of_sound_m_s: f64,
     /// The configuration in force, as TOML: the file's attachment.
     pub config_toml: String,
     /// One a sensor.
     pub scanners: Vec<ScanMaker>,
+}
+
+/// One message of a file.
+struct RawMessage<'a> {
+    topic: &'a str,
+    data: &'a [u8],
+}
+
+/// What was lost of a file that was cut off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Cut {
+    /// Bytes up to the end of the last whole chunk.
+    pub whole_bytes: u64,
+    /// Bytes after it.
+    pub lost_bytes: u64,
+    /// Messages that were read.
+    pub messages: u64,
 }
 
 /// Why a recording cannot be written or read.

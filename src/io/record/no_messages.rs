@@ -1,24 +1,8 @@
 //! Stands for the messages of a file in a build without MCAP: there are none.
 
-use super::RecordError;
+use super::{Cut, RawMessage, RecordError};
 use std::marker::PhantomData;
 use std::path::Path;
-
-pub(super) struct RawMessage<'a> {
-    pub topic: &'a str,
-    pub data: &'a [u8],
-}
-
-/// What was lost of a file that was cut off.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Cut {
-    /// Bytes up to the end of the last whole chunk.
-    pub whole_bytes: u64,
-    /// Bytes after it.
-    pub lost_bytes: u64,
-    /// Messages that were read.
-    pub messages: u64,
-}
 
 pub(super) struct MessageReader<R>(PhantomData<R>);
 

@@ -4,6 +4,7 @@
 //! that was cut off ends with its last whole chunk.
 
 use super::{Entry, RecordError, RunReader};
+use crate::io::wire::message::format_of;
 use crate::signal::SampleFormat;
 use std::io::{Error, ErrorKind, Read};
 use std::path::Path;
@@ -50,12 +51,8 @@ impl RunPings {
             if ping.wire.sensor_index as usize != sensor_index {
                 continue;
             }
-            let format = match ping.wire.format {
-                0 => SampleFormat::Pdm,
-                1 => SampleFormat::PcmI16,
-                2 => SampleFormat::PcmF32,
-                other => return Err(content(format!("raw format {other}"), "0 pdm, 1 pcm-i16, 2 pcm-f32")),
-            };
+            let unknown = || content(format!("raw format {}", ping.wire.format), "0 pdm, 1 pcm-i16, 2 pcm-f32");
+            let format = format_of(ping.wire.format).ok_or_else(unknown)?;
             let found = PingShape {
                 format,
                 channel_count: ping.wire.channel_count as usize,

@@ -3,11 +3,10 @@
 //! Goes on from part to part. Topics that are not ours, as others add them, are passed over; a message of ours that another
 //! build wrote with other fields is an error. Never interprets what it gives.
 
-use super::RecordError;
-pub use super::messages::Cut;
 use super::messages::MessageReader;
-use super::scribe::{COMMAND, PIPELINE};
+use super::scribe::{COMMAND, INPUT, ODOMETRY, OPERATOR, PIPELINE};
 use super::volume::part_path;
+use super::{Cut, RecordError};
 use crate::io::ros::{self, Image, PipelineStep, RawPingMessage, RosError, WireMessage};
 use crate::io::wire::WireType;
 use crate::io::wire::message::{
@@ -112,14 +111,9 @@ impl<R: Read> RunReader<R> {
     }
 }
 
-/// The sensor and the leaf of a sensor's topic.
-fn sensor_topic(topic: &str) -> Option<(&str, &str)> {
-    topic.strip_prefix("/noctule/sonar/")?.rsplit_once('/')
-}
-
 fn is_ours(topic: &str) -> bool {
-    let small = [PIPELINE, COMMAND, "/noctule/input", "/noctule/operator", "/noctule/odometry"];
-    let leaf = sensor_topic(topic).map(|(_, leaf)| leaf);
+    let small = [PIPELINE, COMMAND, INPUT, OPERATOR, ODOMETRY];
+    let leaf = ros::sonar_of(topic).map(|(_, leaf)| leaf);
     small.contains(&topic) || matches!(leaf, Some("raw" | "energyscape" | "energyscape_info"))
 }
 
@@ -128,11 +122,11 @@ fn wire<T: WireType>(data: &[u8]) -> Result<T, RosError> {
 }
 
 fn entry<'a>(topic: &'a str, data: &'a [u8]) -> Result<Entry<'a>, RosError> {
-    Ok(match (topic, sensor_topic(topic)) {
+    Ok(match (topic, ros::sonar_of(topic)) {
         (PIPELINE, _) => Entry::Step(wire(data)?),
         (COMMAND, _) => Entry::Command(wire(data)?),
-        ("/noctule/input", _) => Entry::Input(wire(data)?),
-        ("/noctule/operator", _) => Entry::Operator(wire(data)?),
+        (INPUT, _) => Entry::Input(wire(data)?),
+        (OPERATOR, _) => Entry::Operator(wire(data)?),
         (_, Some((_, "energyscape_info"))) => Entry::Info(wire(data)?),
         (_, Some((sensor, "energyscape"))) => Entry::Image(sensor, ros::decode(data)?),
         (_, Some((sensor, _))) => Entry::Raw(sensor, ros::decode::<RawPingMessage<'_>>(data)?.checked()?),

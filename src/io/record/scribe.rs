@@ -29,6 +29,12 @@ use std::sync::Arc;
 pub(super) const PIPELINE: &str = "/noctule/pipeline";
 /// Topic of commands.
 pub(super) const COMMAND: &str = "/noctule/command";
+/// Topic of wanted velocities.
+pub(super) const INPUT: &str = "/noctule/input";
+/// Topic of operators' requests.
+pub(super) const OPERATOR: &str = "/noctule/operator";
+/// Topic of pose and twist.
+pub(super) const ODOMETRY: &str = "/noctule/odometry";
 
 /// Writes messages.
 pub(super) struct Scribe {
@@ -52,7 +58,7 @@ struct SensorTopics {
 
 impl SensorTopics {
     fn new(sensor: &str) -> Self {
-        let topic = |leaf: &str| format!("/noctule/sonar/{sensor}/{leaf}");
+        let topic = |leaf: &str| ros::sonar_topic(sensor, leaf);
         Self { raw: topic("raw"), image: topic("energyscape"), info: topic("energyscape_info"), scan: topic("scan") }
     }
 }
@@ -79,7 +85,7 @@ impl Scribe {
     /// Every part says where the sensors stand.
     fn begin_part(&mut self, now: Stamp) -> Result<(), RecordError> {
         let mounts = ros::mount_transforms(&self.sensors, now);
-        self.put("/tf_static", 0, now, now.wall_ns, &mounts)
+        self.put(ros::MOUNTS_TOPIC, 0, now, now.wall_ns, &mounts)
     }
 
     /// Messages and bytes so far.
@@ -103,29 +109,29 @@ impl Scribe {
                 let sequence = command.sequence;
                 self.wire(COMMAND, ros::BASE_FRAME, sequence, now, command.t_wall_ns, command)?;
                 let twist = ros::command_twist(command);
-                self.put("/noctule/cmd_vel", sequence, now, command.t_wall_ns, &twist)?;
+                self.put(ros::COMMAND_TWIST_TOPIC, sequence, now, command.t_wall_ns, &twist)?;
             }
             Note::Cues(cues) => self.wire("/noctule/cues", "", cues.sequence, now, cues.t_wall_ns, cues)?,
             Note::Input(input) => {
-                self.wire("/noctule/input", ros::BASE_FRAME, input.sequence, now, input.t_wall_ns, input)?;
+                self.wire(INPUT, ros::BASE_FRAME, input.sequence, now, input.t_wall_ns, input)?;
             }
             Note::Operator(asked) => {
-                self.wire("/noctule/operator", "", asked.sequence, now, asked.t_wall_ns, asked)?;
+                self.wire(OPERATOR, "", asked.sequence, now, asked.t_wall_ns, asked)?;
             }
             Note::Odometry(odometry) => {
                 let (sequence, at) = (odometry.sequence, odometry.t_wall_ns);
-                self.wire("/noctule/odometry", ros::ODOMETRY_FRAME, sequence, now, at, odometry)?;
+                self.wire(ODOMETRY, ros::ODOMETRY_FRAME, sequence, now, at, odometry)?;
                 self.put("/tf", sequence, now, at, &ros::odometry_transform(odometry))?;
             }
             Note::Platform(platform) => {
                 let (sequence, at) = (platform.sequence, platform.t_wall_ns);
                 self.wire("/noctule/platform", ros::BASE_FRAME, sequence, now, at, platform)?;
-                self.put("/noctule/platform_vel", sequence, now, at, &ros::platform_twist(platform))?;
+                self.put(ros::PLATFORM_TWIST_TOPIC, sequence, now, at, &ros::platform_twist(platform))?;
             }
             Note::Health(health) => {
                 self.wire("/noctule/health", "", health.ping_set_count, now, health.t_wall_ns, health)?;
                 let diagnostics = ros::health_diagnostics(health);
-                self.put("/diagnostics", health.ping_set_count, now, health.t_wall_ns, &diagnostics)?;
+                self.put(ros::DIAGNOSTICS_TOPIC, health.ping_set_count, now, health.t_wall_ns, &diagnostics)?;
             }
         }
         self.next_part(now)

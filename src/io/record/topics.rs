@@ -102,12 +102,11 @@ impl RecordTopics {
             }
         }
         for image in &self.images {
-            let copy = |header: &EnergyscapeHeader, values: &[f32]| {
-                if header.schema_matches() {
+            let mut copy = |header: &EnergyscapeHeader, values: &[f32]| {
+                if header.describes(values.len()) {
                     tap.ping_set(now, None, |slot, _| slot.copy_image(header, values));
                 }
             };
-            let mut copy = copy;
             while image.next(&mut copy).is_some() {}
         }
         notes(&self.command, now, tap, Note::Command);

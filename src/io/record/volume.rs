@@ -5,6 +5,7 @@
 
 use super::file::OutFile;
 use super::{RecordError, RecordOptions};
+use crate::io::free_bytes_of;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -127,8 +128,7 @@ impl Volume {
 fn check_room(path: &Path, reserve_bytes: u64) -> Result<(), RecordError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // A file system that does not say is asked by writing.
-    let Ok(space) = rustix::fs::statvfs(folder) else { return Ok(()) };
-    let free = space.f_bavail.saturating_mul(space.f_frsize);
+    let Some(free) = free_bytes_of(folder) else { return Ok(()) };
     if free >= reserve_bytes {
         return Ok(());
     }

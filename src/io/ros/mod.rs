@@ -35,6 +35,29 @@ pub const MESSAGE_ENCODING: &str = "cdr";
 /// CDR, little-endian, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
+/// Topic of commands as ROS knows velocities.
+pub const COMMAND_TWIST_TOPIC: &str = "/noctule/cmd_vel";
+/// Topic of what the controller really commands, as ROS knows velocities.
+pub const PLATFORM_TWIST_TOPIC: &str = "/noctule/platform_vel";
+/// Topic of diagnostics.
+pub const DIAGNOSTICS_TOPIC: &str = "/diagnostics";
+/// Topic of where the sensors stand.
+pub const MOUNTS_TOPIC: &str = "/tf_static";
+/// What the topics of all sensors begin with.
+const SONAR_TOPICS: &str = "/noctule/sonar/";
+
+/// Topic of a sensor's `leaf`: energyscape, scan, raw.
+#[must_use]
+pub fn sonar_topic(sensor: &str, leaf: &str) -> String {
+    format!("{SONAR_TOPICS}{sensor}/{leaf}")
+}
+
+/// Sensor and leaf of a topic, if it is one of a sensor.
+#[must_use]
+pub fn sonar_of(topic: &str) -> Option<(&str, &str)> {
+    topic.strip_prefix(SONAR_TOPICS)?.rsplit_once('/')
+}
+
 /// Frame of a sensor.
 #[must_use]
 pub fn sensor_frame(sensor: &str) -> String {

@@ -2,8 +2,10 @@
 //!
 //! A layout only. Times are those that the pipeline was handed as "now"; whoever replays hands it the same.
 
+use crate::geometry::Pose2;
 use crate::io::wire::wire_type;
-use crate::signal::SENSORS_MAX;
+use crate::signal::{SENSORS_MAX, Velocity};
+use crate::time::Stamp;
 use iceoryx2::prelude::ZeroCopySend;
 
 /// What a step is. The numbers are in recordings.
@@ -110,5 +112,31 @@ wire_type! {
         has_pose: u32,
         /// 1 when the raw pings of the set are in the recording.
         has_pings: u32,
+    }
+}
+
+impl PipelineStep {
+    /// What the pipeline was handed as "now".
+    #[must_use]
+    pub fn now(&self) -> Stamp {
+        Stamp { boottime_ns: self.t_monotonic_ns, wall_ns: self.t_wall_ns }
+    }
+
+    /// Emission of the ping set.
+    #[must_use]
+    pub fn set_emitted_at(&self) -> Stamp {
+        Stamp { boottime_ns: self.set_t_monotonic_ns, wall_ns: self.set_t_wall_ns }
+    }
+
+    /// What was wanted.
+    #[must_use]
+    pub fn wanted(&self) -> Velocity {
+        Velocity { linear_m_s: self.wanted_linear_m_s, angular_rad_s: self.wanted_angular_rad_s }
+    }
+
+    /// Where the robot was, if that was known.
+    #[must_use]
+    pub fn pose(&self) -> Option<Pose2> {
+        (self.has_pose != 0).then_some(Pose2 { x_m: self.x_m, y_m: self.y_m, heading_rad: self.heading_rad })
     }
 }

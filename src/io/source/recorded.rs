@@ -5,7 +5,6 @@
 //! together by their times, and the wanted velocity is the newest.
 
 use super::{Delivery, Moment, Source, SourceError};
-use crate::geometry::Pose2;
 use crate::io::record::reader::take_ping;
 use crate::io::record::{Entry, RunReader};
 use crate::io::ros::{PipelineStep, StepKind};
@@ -71,8 +70,7 @@ impl RecordedSource {
                     match StepKind::from_number(step.kind) {
                         Some(StepKind::Begin) => self.epoch = step.epoch,
                         Some(StepKind::PingSet) if set.iter_present().next().is_some() => {
-                            set.emitted_at =
-                                Stamp { boottime_ns: step.set_t_monotonic_ns, wall_ns: step.set_t_wall_ns };
+                            set.emitted_at = step.set_emitted_at();
                             self.step = Some(step);
                             return Ok(true);
                         }
@@ -91,10 +89,6 @@ impl RecordedSource {
         }
         Ok(false)
     }
-}
-
-fn now_of(step: &PipelineStep) -> Stamp {
-    Stamp { boottime_ns: step.t_monotonic_ns, wall_ns: step.t_wall_ns }
 }
 
 /// A recorded time, moved to the present.
@@ -127,22 +121,18 @@ impl Source for RecordedSource {
         };
         let now = SystemClock.now();
         let first = set.emitted_at;
-        let (boottime_ns, wall_ns) = *self
+        let offset = *self
             .offset
             .get_or_insert((now.boottime_ns.wrapping_sub(first.boottime_ns), now.wall_ns.wrapping_sub(first.wall_ns)));
-        let shifted = |at: Stamp| Stamp {
-            boottime_ns: at.boottime_ns.wrapping_add(boottime_ns),
-            wall_ns: at.wall_ns.wrapping_add(wall_ns),
-        };
-        let wait_ns = shifted(first).since_ns(now).max(0).cast_unsigned();
+        let wait_ns = moved(first, offset).since_ns(now).max(0).cast_unsigned();
         if Duration::from_nanos(wait_ns) > limit {
             self.next = Some(set);
             std::thread::sleep(limit);
             return Ok(Delivery::Nothing);
         }
         std::thread::sleep(Duration::from_nanos(wait_ns));
-        set.pings.iter_mut().for_each(|ping| ping.emitted_at = shifted(ping.emitted_at));
-        set.emitted_at = shifted(set.emitted_at);
+        set.pings.iter_mut().for_each(|ping| ping.emitted_at = moved(ping.emitted_at, offset));
+        set.emitted_at = moved(set.emitted_at, offset);
         set.sequence = self.step.as_ref().map_or(pings.sequence + 1, |step| step.set_sequence);
         *pings = set;
         Ok(Delivery::Set)
@@ -152,15 +142,14 @@ impl Source for RecordedSource {
         let (step, offset) = (self.step.take()?, self.offset?);
         let mut steps = std::mem::take(&mut self.steps);
         for step in &mut steps {
-            let now = moved(now_of(step), offset);
+            let now = moved(step.now(), offset);
             (step.t_monotonic_ns, step.t_wall_ns) = (now.boottime_ns, now.wall_ns);
             step.requested_at_ns = step.requested_at_ns.wrapping_add(offset.0);
         }
-        let pose = Pose2 { x_m: step.x_m, y_m: step.y_m, heading_rad: step.heading_rad };
         Some(Moment {
-            now: moved(now_of(&step), offset),
-            wanted: Velocity { linear_m_s: step.wanted_linear_m_s, angular_rad_s: step.wanted_angular_rad_s },
-            pose: (step.has_pose != 0).then_some(pose),
+            now: moved(step.now(), offset),
+            wanted: step.wanted(),
+            pose: step.pose(),
             steps,
             epoch: self.epoch,
         })

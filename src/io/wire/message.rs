@@ -227,11 +227,7 @@ pub(crate) fn reason_name(number: u32) -> Option<&'static str> {
 }
 
 pub(crate) fn layer_name(number: u32) -> Option<&'static str> {
-    use LayerName::{CollisionAvoidance, CorridorFollowing, FlowFollowing, ObstacleAvoidance, PassThrough, Stopped};
-    [PassThrough, CollisionAvoidance, ObstacleAvoidance, FlowFollowing, CorridorFollowing, Stopped]
-        .into_iter()
-        .find(|&layer| layer as u32 == number)
-        .map(LayerName::as_str)
+    LayerName::from_number(number).map(LayerName::as_str)
 }
 
 pub(crate) fn request_name(number: u32) -> Option<&'static str> {
@@ -276,7 +272,22 @@ pub fn format_number(format: SampleFormat) -> u32 {
     }
 }
 
+/// The raw format of this number on the wire, if there is one.
+#[must_use]
+pub fn format_of(number: u32) -> Option<SampleFormat> {
+    [SampleFormat::Pdm, SampleFormat::PcmI16, SampleFormat::PcmF32]
+        .into_iter()
+        .find(|&format| format_number(format) == number)
+}
+
 impl EnergyscapeHeader {
+    /// Whether the writer's layout was ours and `len` values are the image that it describes.
+    #[must_use]
+    pub fn describes(&self, len: usize) -> bool {
+        let cells = u64::from(self.direction_count) * u64::from(self.range_count);
+        self.schema_matches() && cells == len as u64 && cells > 0
+    }
+
     /// A header that describes `grid`; sequence, times and backend are left at zero.
     #[must_use]
     pub fn for_grid(grid: &PolarGrid, sensor_index: usize, speed_of_sound_m_s: f64) -> Self {

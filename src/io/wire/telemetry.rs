@@ -213,6 +213,12 @@ impl Health {
         self
     }
 
+    /// Whether a sensor delivered in the newest set.
+    #[must_use]
+    pub fn delivers(&self, sensor_index: usize) -> bool {
+        self.sensors_present >> sensor_index & 1 == 1
+    }
+
     /// The adapter's name.
     #[must_use]
     pub fn adapter_name(&self) -> String {
