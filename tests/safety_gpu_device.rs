@@ -144,9 +144,9 @@ fn a_hundred_real_losses_lose_no_ping_set() {
     let mut told: BTreeMap<String, usize> = BTreeMap::new();
     let (mut late, mut most) = (0, Duration::ZERO);
     for loss in 0..losses {
-        // A GPU that has imaged well for a while; what was lost before counts no longer.
-        let good = rig.sequence + 25;
         rig.until(&mut imager, |imager| imager.trust() == Some(Trust::Trusted));
+        // A GPU that has imaged well for a while; what was lost before counts no longer. Counted from here: a long rest takes as many.
+        let good = rig.sequence + 25;
         while rig.sequence < good {
             rig.frame(&mut imager);
         }
