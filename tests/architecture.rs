@@ -16,7 +16,7 @@ const MAY_IMPORT: &[(&str, &[&str])] = &[
     ("sensor", &["geometry", "parameter", "signal", "document"]),
     ("imaging", &["life", "signal", "sensor", "geometry", "parameter", "time"]),
     ("flow", &["signal", "sensor", "geometry", "parameter", "time"]),
-    ("detect", &["signal", "sensor", "geometry", "parameter"]),
+    ("detect", &["signal", "sensor", "geometry", "time", "parameter"]),
     ("control", &["signal", "time", "geometry", "parameter"]),
     ("safety", &["signal", "sensor", "time", "parameter"]),
     ("sim", &["signal", "sensor", "geometry", "time", "parameter", "document"]),

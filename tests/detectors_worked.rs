@@ -1,6 +1,13 @@
 //! Contract: the two range-based detectors reproduce what can be computed by hand: the worked numbers of paper 001, and for the ring
 //! of paper 003 plain geometry, since its printed formulas contradict each other. Also by the command line.
 
+#[path = "detectors_worked/projection_paper.rs"]
+mod projection_paper;
+#[path = "detectors_worked/ring_paper.rs"]
+mod ring_paper;
+#[path = "detectors_worked/route.rs"]
+mod route;
+
 use assert_cmd::Command;
 use nalgebra::{Matrix2, Vector2};
 use noctule::detect::projection::{self, Edge, project};

@@ -131,10 +131,10 @@ impl Mark {
     }
 }
 
-/// Allocations that no sample sent accounts for. After a ping set of three sensors the daemon sends a command, three
-/// energyscapes, cues and health.
+/// Allocations that no sample sent accounts for. After a ping set of three sensors the daemon sends a command, three energyscapes, cues
+/// and health, its detecting thread scan, obstacle and objects.
 fn unaccounted(before: Mark, after: Mark) -> i64 {
-    let sent = after.platform - before.platform + 6 * (after.commands - before.commands);
+    let sent = after.platform - before.platform + 9 * (after.commands - before.commands);
     (after.counted - before.counted).cast_signed() - sent.cast_signed()
 }
 
@@ -186,13 +186,13 @@ fn nothing_is_allocated_from_the_ping_on_its_topic_to_the_platforms_command() {
         39,
         "allocations from ping to platform beside the transport's sample guards",
         extra,
-        "0, +-14 at the ends",
+        "0, +-20 at the ends",
         sets,
     );
     figure(39, "bytes held more than before", grown_bytes, "<= 2048", sets);
     assert!(commands as usize >= sets * 9 / 10, "{commands} commands after {sets} ping sets");
-    // Measured: none. A mark may fall between the seven samples that a ping set and a tick send, at either end.
-    assert!(extra.abs() <= 14, "{extra} allocations that no sample sent accounts for");
+    // Measured: none. A mark may fall between the ten samples that a ping set and a tick send, at either end.
+    assert!(extra.abs() <= 20, "{extra} allocations that no sample sent accounts for");
     // Measured: 104, the transport's guard of a sample.
     assert!(largest <= 256, "a block of {largest} bytes");
     assert!(grown_bytes.abs() <= 2048, "{grown_bytes} bytes more than before");

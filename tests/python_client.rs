@@ -8,6 +8,7 @@ use client_rig::{Publisher, RANGES, SENSORS, compare, python_is_missing, run, st
 use ipc_rig::Place;
 use noctule::io::Echo;
 use noctule::io::topics::topics_json;
+use noctule::io::wire::detections::{Objects, Obstacle, Scan};
 use noctule::io::wire::message::{
     EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput,
 };
@@ -266,7 +267,7 @@ fn another_version_of_the_wheel_is_named_as_the_cause() {
 /// Type name, size, alignment, schema hash and fields as Rust has them.
 type RustLayout = (&'static str, usize, usize, u64, &'static [Field]);
 
-fn rust_layouts() -> [RustLayout; 9] {
+fn rust_layouts() -> [RustLayout; 12] {
     fn of<T: WireType>() -> RustLayout {
         (T::TYPE_NAME, size_of::<T>(), align_of::<T>(), T::SCHEMA_HASH, T::FIELDS)
     }
@@ -279,6 +280,9 @@ fn rust_layouts() -> [RustLayout; 9] {
         of::<OperatorRequest>(),
         of::<Odometry>(),
         of::<PlatformVelocity>(),
+        of::<Scan>(),
+        of::<Obstacle>(),
+        of::<Objects>(),
         of::<Health>(),
     ]
 }

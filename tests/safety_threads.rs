@@ -35,14 +35,16 @@ enum Tried {
 }
 
 /// Every thread of the two processes, by its name in the kernel, and where its panic is tried. A new thread needs a new line.
-const THREADS: [(Of, &str, Tried); 11] = [
+const THREADS: [(Of, &str, Tried); 13] = [
     (Of::Daemon, "noctule", Tried::Here),
     (Of::Daemon, "noctule-acquire", Tried::Here),
     (Of::Daemon, "noctule-decide", Tried::Here),
+    (Of::Daemon, "noctule-detect", Tried::Here),
     (Of::Daemon, "log", Tried::In("src/life/log_queue.rs")),
     (Of::Daemon, "imaging-", Tried::In("src/imaging/cpu/pool.rs")),
     // The watches over the transport's calls, one a set-up; the controller's has the name of its main thread.
     (Of::Daemon, "noctule-daemon", Tried::In("src/life/panic.rs")),
+    (Of::Daemon, "noctule-detecto", Tried::In("src/life/panic.rs")),
     (Of::Daemon, "noctule-input w", Tried::In("src/life/panic.rs")),
     (Of::Daemon, "noctule-platfor", Tried::In("src/life/panic.rs")),
     (Of::Controller, "noctule-control", Tried::Here),

@@ -1,6 +1,7 @@
 //! Contract: the bytes on the topics are those of the golden list below, by the rules of C and by a C compiler; Python's
 //! `ctypes` is held to the same tables by the Python client's test.
 
+use noctule::io::wire::detections::{Objects, Obstacle, Scan};
 use noctule::io::wire::message::{
     EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput,
 };
@@ -10,7 +11,7 @@ use std::fmt::Write as _;
 use tempfile::TempDir;
 
 /// Written by hand: type name, size, and every field as `type name[count]` in the order in which it lies.
-const GOLDEN: [(&str, usize, &str); 9] = [
+const GOLDEN: [(&str, usize, &str); 12] = [
     (
         "noctule.RawHeader.v1",
         64,
@@ -52,6 +53,21 @@ const GOLDEN: [(&str, usize, &str); 9] = [
         "u64 schema_hash; u64 sequence; u64 t_monotonic_ns; u64 t_wall_ns; f64 linear_m_s; f64 angular_rad_s; u64 epoch; u64 command_sequence; u64 command_t_monotonic_ns; u64 command_received_ns; u64 received_count; u64 accepted_count; u64 refused_count; u32 state; u32 reason; u32 daemon_state; u32 daemon_reason",
     ),
     (
+        "noctule.Scan.v1",
+        10256,
+        "u64 schema_hash; u64 sequence; u64 t_monotonic_ns; u64 t_wall_ns; u64 t_completed_ns; f64 bearing_first_rad; f64 bearing_step_rad; f64 range_min_m; f64 range_max_m; f32 range_m[360]; f32 amplitude[360]; f32 range_sigma_m[360]; f32 bearing_sigma_rad[360]; f32 free_m[360]; u32 answer[360]; f32 peak_x_m[64]; f32 peak_y_m[64]; f32 peak_amplitude[64]; f32 peak_range_sigma_m[64]; f32 peak_bearing_sigma_rad[64]; u32 peak_sensor[64]; u32 peak_count; u32 sensors_used",
+    ),
+    (
+        "noctule.Obstacle.v1",
+        376,
+        "u64 schema_hash; u64 sequence; u64 t_monotonic_ns; u64 t_wall_ns; u64 t_completed_ns; f64 projection[8]; f64 reading_m[8]; f64 edge_distance_m; f64 blind_beyond_m; f64 x_m; f64 y_m; f64 along_near_m; f64 along_far_m; f64 across_right_m; f64 across_left_m; f64 extent_sigma_m; f64 passage_left_m; f64 passage_right_m; f64 route_x_m[4]; f64 route_y_m[4]; f64 wish_linear_m_s; f64 wish_angular_rad_s; u32 route_count; u32 edge_index; u32 detected; u32 sonar; u32 blind; u32 cannot_see; u32 far_end_seen; u32 in_the_way; u32 sensors_used; u32 follower",
+    ),
+    (
+        "noctule.Objects.v1",
+        9920,
+        "u64 schema_hash; u64 sequence; u64 t_monotonic_ns; u64 t_wall_ns; u64 t_completed_ns; f64 robot_x_m; f64 robot_y_m; f64 robot_heading_rad; f64 reading_m[12]; f64 x_m[32]; f64 y_m[32]; f64 variance_x_m2[32]; f64 covariance_xy_m2[32]; f64 variance_y_m2[32]; f64 map_x_m; f64 map_y_m; f64 cell_m; f32 score[32]; u32 pair[32]; u32 object_count; u32 frame; i16 map[4096]",
+    ),
+    (
         "noctule.Health.v1",
         304,
         "u64 schema_hash; u64 epoch; u64 t_monotonic_ns; u64 t_wall_ns; u64 ping_set_count; u64 command_count; u64 dropped_count; u64 late_count; u64 gpu_loss_count; u64 stop_count; u64 rejected_count[3]; u64 gap_count[3]; u64 desync_ns; f64 latency_ms; f64 latency_p50_ms; f64 latency_p99_ms; f64 latency_max_ms; f64 stage_ms[5]; u32 bad_channel_count[3]; u32 sensors_present; u32 state; u32 reason; u32 backend; u32 recording; u8 adapter[64]",
@@ -72,6 +88,9 @@ fn actual() -> Vec<(&'static str, usize, usize, &'static [Field])> {
         of::<OperatorRequest>(),
         of::<Odometry>(),
         of::<PlatformVelocity>(),
+        of::<Scan>(),
+        of::<Obstacle>(),
+        of::<Objects>(),
         of::<Health>(),
     ]
 }
@@ -119,6 +138,7 @@ fn a_c_compiler_lays_every_type_out_in_the_same_way() {
                 "u8" => "uint8_t",
                 "u32" => "uint32_t",
                 "u64" => "uint64_t",
+                "i16" => "int16_t",
                 "f32" => "float",
                 _ => "double",
             };

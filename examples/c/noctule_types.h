@@ -89,7 +89,7 @@ struct noctule_energyscape_header_v1 {
     uint32_t direction_count; /* Rows. */
     uint32_t range_count; /* Columns. */
     uint32_t backend; /* 0 CPU, 1 GPU. */
-    uint32_t flags; /* 1 equally spaced directions, 2 channels left out, 4 the CPU redid what the GPU failed to do. */
+    uint32_t flags; /* 1 equally spaced directions, 2 channels left out, 4 the CPU redid what the GPU failed to do, 8 silence here is no free space. */
 };
 NOCTULE_ASSERT(sizeof(struct noctule_energyscape_header_v1) == 104, "size of noctule.EnergyscapeHeader.v1");
 NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, schema_hash) == 0, "noctule.EnergyscapeHeader.v1.schema_hash");
@@ -164,6 +164,126 @@ NOCTULE_ASSERT(offsetof(struct noctule_health_v1, reason) == 228, "noctule.Healt
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, backend) == 232, "noctule.Health.v1.backend");
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, recording) == 236, "noctule.Health.v1.recording");
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, adapter) == 240, "noctule.Health.v1.adapter");
+
+#define NOCTULE_OBJECTS_V1_TYPE_NAME "noctule.Objects.v1"
+#define NOCTULE_OBJECTS_V1_SCHEMA_HASH UINT64_C(0xb0aae93d6e2cfb94)
+struct noctule_objects_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* Sequence of the scan. */
+    uint64_t t_monotonic_ns; /* Oldest emission that went in, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    uint64_t t_completed_ns; /* When it was complete, CLOCK_BOOTTIME. */
+    double robot_x_m; /* Where the robot was, x in the frame of the objects. */
+    double robot_y_m; /* The same, y. */
+    double robot_heading_rad; /* The same, heading. */
+    double reading_m[12]; /* What each sonar of the ring reads, from the ring; +inf for nothing within range, NaN for unseen. */
+    double x_m[32]; /* Objects, the surest first: x. */
+    double y_m[32]; /* y. */
+    double variance_x_m2[32]; /* Variance of x. */
+    double covariance_xy_m2[32]; /* Covariance of x and y. */
+    double variance_y_m2[32]; /* Variance of y. */
+    double map_x_m; /* x of the middle of the map's first cell. */
+    double map_y_m; /* The same, y. */
+    double cell_m; /* Edge of a cell. */
+    float score[32]; /* How sure each object is, 0 to 1. */
+    uint32_t pair[32]; /* First sonar of the pair that heard it last; the second is its neighbour to the left. */
+    uint32_t object_count; /* Number of objects. */
+    uint32_t frame; /* 0 frame of odometry; 1 robot frame, where nobody tells odometry: then nothing is kept from one ping set to the next. */
+    int16_t map[4096]; /* Cells of the map, row after row of rising y: occupied to 0 to 100 per cent, -1 for unknown. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_objects_v1) == 9920, "size of noctule.Objects.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, schema_hash) == 0, "noctule.Objects.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, sequence) == 8, "noctule.Objects.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, t_monotonic_ns) == 16, "noctule.Objects.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, t_wall_ns) == 24, "noctule.Objects.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, t_completed_ns) == 32, "noctule.Objects.v1.t_completed_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, robot_x_m) == 40, "noctule.Objects.v1.robot_x_m");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, robot_y_m) == 48, "noctule.Objects.v1.robot_y_m");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, robot_heading_rad) == 56, "noctule.Objects.v1.robot_heading_rad");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, reading_m) == 64, "noctule.Objects.v1.reading_m");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, x_m) == 160, "noctule.Objects.v1.x_m");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, y_m) == 416, "noctule.Objects.v1.y_m");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, variance_x_m2) == 672, "noctule.Objects.v1.variance_x_m2");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, covariance_xy_m2) == 928, "noctule.Objects.v1.covariance_xy_m2");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, variance_y_m2) == 1184, "noctule.Objects.v1.variance_y_m2");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, map_x_m) == 1440, "noctule.Objects.v1.map_x_m");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, map_y_m) == 1448, "noctule.Objects.v1.map_y_m");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, cell_m) == 1456, "noctule.Objects.v1.cell_m");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, score) == 1464, "noctule.Objects.v1.score");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, pair) == 1592, "noctule.Objects.v1.pair");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, object_count) == 1720, "noctule.Objects.v1.object_count");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, frame) == 1724, "noctule.Objects.v1.frame");
+NOCTULE_ASSERT(offsetof(struct noctule_objects_v1, map) == 1728, "noctule.Objects.v1.map");
+
+#define NOCTULE_OBSTACLE_V1_TYPE_NAME "noctule.Obstacle.v1"
+#define NOCTULE_OBSTACLE_V1_SCHEMA_HASH UINT64_C(0x2640df911e66ed97)
+struct noctule_obstacle_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* Sequence of the scan. */
+    uint64_t t_monotonic_ns; /* Oldest emission that went in, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    uint64_t t_completed_ns; /* When it was complete, CLOCK_BOOTTIME. */
+    double projection[8]; /* Projection of each sonar's vector on the way, 0 to 10. */
+    double reading_m[8]; /* What each sonar reads, from its transducer; +inf for nothing within range, NaN for unseen. */
+    double edge_distance_m; /* Distance of the robot from the planned edge; NaN without one. */
+    double blind_beyond_m; /* Distance from the edge beyond which the detector is blind. */
+    double x_m; /* Obstacle: nearest point of it, x in the frame of odometry; NaN without one. */
+    double y_m; /* The same, y. */
+    double along_near_m; /* Where it begins along the edge, from the edge's start. */
+    double along_far_m; /* Where it ends as far as it was seen. */
+    double across_right_m; /* Its right end across the edge, left of the edge positive. */
+    double across_left_m; /* Its left end. */
+    double extent_sigma_m; /* Standard deviation of these. */
+    double passage_left_m; /* Free width between the obstacle and what stands to its left; +inf for nothing seen, NaN for unknown. */
+    double passage_right_m; /* The same to its right. */
+    double route_x_m[4]; /* Sub-route, x of up to four points in the frame of odometry. */
+    double route_y_m[4]; /* The same, y. */
+    double wish_linear_m_s; /* Forward speed that the follower wishes; the layers have the last word. */
+    double wish_angular_rad_s; /* Turn rate that it wishes. */
+    uint32_t route_count; /* Points of the sub-route. */
+    uint32_t edge_index; /* Index of the planned edge; 4294967295 without one. */
+    uint32_t detected; /* Whether an obstacle is detected. */
+    uint32_t sonar; /* Sonar with the largest projection, where one is above the threshold; 4294967295 for none. */
+    uint32_t blind; /* Whether the robot is too far from the edge to judge: that nothing is detected then means nothing. */
+    uint32_t cannot_see; /* Whether a cone ahead is not seen: then the follower waits. */
+    uint32_t far_end_seen; /* Whether the far end of the obstacle was seen. */
+    uint32_t in_the_way; /* Whether the obstacle reaches into the safe path along the edge. */
+    uint32_t sensors_used; /* Bit k is set when sensor k went in. */
+    uint32_t follower; /* What the follower does. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_obstacle_v1) == 376, "size of noctule.Obstacle.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, schema_hash) == 0, "noctule.Obstacle.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, sequence) == 8, "noctule.Obstacle.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, t_monotonic_ns) == 16, "noctule.Obstacle.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, t_wall_ns) == 24, "noctule.Obstacle.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, t_completed_ns) == 32, "noctule.Obstacle.v1.t_completed_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, projection) == 40, "noctule.Obstacle.v1.projection");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, reading_m) == 104, "noctule.Obstacle.v1.reading_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, edge_distance_m) == 168, "noctule.Obstacle.v1.edge_distance_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, blind_beyond_m) == 176, "noctule.Obstacle.v1.blind_beyond_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, x_m) == 184, "noctule.Obstacle.v1.x_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, y_m) == 192, "noctule.Obstacle.v1.y_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, along_near_m) == 200, "noctule.Obstacle.v1.along_near_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, along_far_m) == 208, "noctule.Obstacle.v1.along_far_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, across_right_m) == 216, "noctule.Obstacle.v1.across_right_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, across_left_m) == 224, "noctule.Obstacle.v1.across_left_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, extent_sigma_m) == 232, "noctule.Obstacle.v1.extent_sigma_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, passage_left_m) == 240, "noctule.Obstacle.v1.passage_left_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, passage_right_m) == 248, "noctule.Obstacle.v1.passage_right_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, route_x_m) == 256, "noctule.Obstacle.v1.route_x_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, route_y_m) == 288, "noctule.Obstacle.v1.route_y_m");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, wish_linear_m_s) == 320, "noctule.Obstacle.v1.wish_linear_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, wish_angular_rad_s) == 328, "noctule.Obstacle.v1.wish_angular_rad_s");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, route_count) == 336, "noctule.Obstacle.v1.route_count");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, edge_index) == 340, "noctule.Obstacle.v1.edge_index");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, detected) == 344, "noctule.Obstacle.v1.detected");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, sonar) == 348, "noctule.Obstacle.v1.sonar");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, blind) == 352, "noctule.Obstacle.v1.blind");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, cannot_see) == 356, "noctule.Obstacle.v1.cannot_see");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, far_end_seen) == 360, "noctule.Obstacle.v1.far_end_seen");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, in_the_way) == 364, "noctule.Obstacle.v1.in_the_way");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, sensors_used) == 368, "noctule.Obstacle.v1.sensors_used");
+NOCTULE_ASSERT(offsetof(struct noctule_obstacle_v1, follower) == 372, "noctule.Obstacle.v1.follower");
 
 #define NOCTULE_ODOMETRY_V1_TYPE_NAME "noctule.Odometry.v1"
 #define NOCTULE_ODOMETRY_V1_SCHEMA_HASH UINT64_C(0x7e1fec961aa148f9)
@@ -276,6 +396,58 @@ NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, channel_count) == 48, "noc
 NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, sample_count) == 52, "noctule.RawHeader.v1.sample_count");
 NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, format) == 56, "noctule.RawHeader.v1.format");
 NOCTULE_ASSERT(offsetof(struct noctule_raw_header_v1, flags) == 60, "noctule.RawHeader.v1.flags");
+
+#define NOCTULE_SCAN_V1_TYPE_NAME "noctule.Scan.v1"
+#define NOCTULE_SCAN_V1_SCHEMA_HASH UINT64_C(0x94214d253a498da2)
+struct noctule_scan_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* Sequence of the newest ping that went in. */
+    uint64_t t_monotonic_ns; /* Oldest emission that went in, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    uint64_t t_completed_ns; /* When the scan was complete, CLOCK_BOOTTIME. */
+    double bearing_first_rad; /* Bearing of the first ray in the robot frame. */
+    double bearing_step_rad; /* Step between rays, counter-clockwise. */
+    double range_min_m; /* Nearest range from the robot's origin that any sensor sees. */
+    double range_max_m; /* Farthest range from the robot's origin that any sensor sees. */
+    float range_m[360]; /* Range of the nearest echo; +inf for nothing within range, NaN for unseen. */
+    float amplitude[360]; /* Envelope of that echo, 1 is full scale. */
+    float range_sigma_m[360]; /* Standard deviation of its range. */
+    float bearing_sigma_rad[360]; /* Standard deviation of its bearing: small at a reflector, large in the skirt of its main lobe. */
+    float free_m[360]; /* Range up to which the ray is known to hold no echo. */
+    uint32_t answer[360]; /* 0 unseen, 1 nothing within range, 2 echo. */
+    float peak_x_m[64]; /* Reflectors, nearest first: forward of the robot. */
+    float peak_y_m[64]; /* To its left. */
+    float peak_amplitude[64]; /* Envelope, 1 is full scale. */
+    float peak_range_sigma_m[64]; /* Standard deviation along the line of sight. */
+    float peak_bearing_sigma_rad[64]; /* Standard deviation of the bearing from the sensor. */
+    uint32_t peak_sensor[64]; /* Index of the sensor that heard it. */
+    uint32_t peak_count; /* Number of reflectors. */
+    uint32_t sensors_used; /* Bit k is set when sensor k went in. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_scan_v1) == 10256, "size of noctule.Scan.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, schema_hash) == 0, "noctule.Scan.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, sequence) == 8, "noctule.Scan.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, t_monotonic_ns) == 16, "noctule.Scan.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, t_wall_ns) == 24, "noctule.Scan.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, t_completed_ns) == 32, "noctule.Scan.v1.t_completed_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, bearing_first_rad) == 40, "noctule.Scan.v1.bearing_first_rad");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, bearing_step_rad) == 48, "noctule.Scan.v1.bearing_step_rad");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, range_min_m) == 56, "noctule.Scan.v1.range_min_m");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, range_max_m) == 64, "noctule.Scan.v1.range_max_m");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, range_m) == 72, "noctule.Scan.v1.range_m");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, amplitude) == 1512, "noctule.Scan.v1.amplitude");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, range_sigma_m) == 2952, "noctule.Scan.v1.range_sigma_m");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, bearing_sigma_rad) == 4392, "noctule.Scan.v1.bearing_sigma_rad");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, free_m) == 5832, "noctule.Scan.v1.free_m");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, answer) == 7272, "noctule.Scan.v1.answer");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, peak_x_m) == 8712, "noctule.Scan.v1.peak_x_m");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, peak_y_m) == 8968, "noctule.Scan.v1.peak_y_m");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, peak_amplitude) == 9224, "noctule.Scan.v1.peak_amplitude");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, peak_range_sigma_m) == 9480, "noctule.Scan.v1.peak_range_sigma_m");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, peak_bearing_sigma_rad) == 9736, "noctule.Scan.v1.peak_bearing_sigma_rad");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, peak_sensor) == 9992, "noctule.Scan.v1.peak_sensor");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, peak_count) == 10248, "noctule.Scan.v1.peak_count");
+NOCTULE_ASSERT(offsetof(struct noctule_scan_v1, sensors_used) == 10252, "noctule.Scan.v1.sensors_used");
 
 #define NOCTULE_VELOCITY_COMMAND_V1_TYPE_NAME "noctule.VelocityCommand.v1"
 #define NOCTULE_VELOCITY_COMMAND_V1_SCHEMA_HASH UINT64_C(0x8c9d9fc34938a255)

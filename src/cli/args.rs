@@ -4,17 +4,19 @@ mod detect;
 mod diagnosis;
 mod files;
 mod record;
+mod scenes;
 mod simulate;
 #[cfg(feature = "view")]
 mod view;
 
-pub use detect::{DetectArguments, DetectorArgument};
+pub use detect::{CorridorsArguments, DetectAction, DetectArguments, EdgesArguments};
 pub use diagnosis::{
     CheckArguments, CompletionsArguments, ConfigAction, ConfigArguments, DoctorArguments, EchoArguments,
     ImportArguments, ManArguments, StatusArguments, TopicsArguments,
 };
 pub use files::{ExportFormat, PlotArguments, ProcessArguments};
 pub use record::{RecordArguments, RecordingArguments, ReplayArguments};
+pub use scenes::ScenesArguments;
 pub use simulate::{ConditionArguments, SimulateArguments};
 #[cfg(feature = "view")]
 pub use view::{DEFAULT_LISTEN, ViewArguments};
@@ -94,7 +96,7 @@ pub enum Command {
     Masks(MasksArguments),
     /// Time the stages and the whole ping, CPU and GPU side by side.
     Bench(BenchArguments),
-    /// Detect obstacles or objects in range readings: JSON on standard input to JSON on standard output.
+    /// Detect obstacles or objects in range readings; midlines of a world; prove the detectors on simulated scenes.
     Detect(DetectArguments),
     /// List every topic with its types and the byte offset of every field.
     Topics(TopicsArguments),

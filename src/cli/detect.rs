@@ -1,6 +1,11 @@
-//! `noctule detect`: the range-based detectors at work on readings that somebody else took. JSON in, JSON out.
+//! `noctule detect`: the range-based detectors at work: on readings that somebody else took, JSON in, JSON out; on worlds ([`edges`]); in
+//! simulated corridors ([`corridors`]) and on simulated maps ([`scenes`]).
 
-use super::args::{DetectArguments, DetectorArgument};
+mod corridors;
+mod edges;
+mod scenes;
+
+use super::args::{ConfigChoice, DetectAction, DetectArguments};
 use super::output::print_line;
 use super::{Failure, exit};
 use crate::config::Config;
@@ -43,12 +48,29 @@ struct RingInput {
     cone_deg: Option<f64>,
 }
 
-/// Detects in the readings on standard input.
+/// Runs the command.
 ///
 /// # Errors
-/// 65 for what is no input of the detector, 74, 78.
+/// 65 for what is no input of the detector or no world, 73, 74, 77, 78.
 pub fn detect(arguments: &DetectArguments) -> Result<(), Failure> {
-    let config = super::config::load(&arguments.choice)?;
+    let chosen = |own: &ConfigChoice| {
+        let config = own.config.clone().or_else(|| arguments.choice.config.clone());
+        ConfigChoice { config }
+    };
+    match &arguments.action {
+        DetectAction::Projection(own) => answer(&chosen(&own.choice), project),
+        DetectAction::Ring(own) => answer(&chosen(&own.choice), ring_objects),
+        DetectAction::Edges(own) => edges::edges(own, &chosen(&own.choice)),
+        DetectAction::Corridors(own) => {
+            corridors::corridors(own, &chosen(&ConfigChoice { config: own.config.clone() }))
+        }
+        DetectAction::Scenes(own) => scenes::scenes(own, &chosen(&ConfigChoice { config: own.config.clone() })),
+    }
+}
+
+/// Detects in the readings on standard input.
+fn answer(choice: &ConfigChoice, detector: fn(&Config, &str) -> Result<Value, Failure>) -> Result<(), Failure> {
+    let config = super::config::load(choice)?;
     let mut text = String::new();
     std::io::stdin().lock().take(INPUT_BYTES_MAX + 1).read_to_string(&mut text).map_err(|error| {
         match error.kind() {
@@ -61,11 +83,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<(), Failure> {
     if text.len() as u64 > INPUT_BYTES_MAX {
         return Err(refuse("", format!("more than {INPUT_BYTES_MAX} bytes"), "one JSON object"));
     }
-    let output = match arguments.detector {
-        DetectorArgument::Projection => project(&config, &text),
-        DetectorArgument::Ring => ring_objects(&config, &text),
-    };
-    print_line(&output?.to_string())
+    print_line(&detector(&config, &text)?.to_string())
 }
 
 fn project(config: &Config, text: &str) -> Result<Value, Failure> {

@@ -3,7 +3,7 @@
 //! Goes in: what was typed. Comes out: a line a run on standard output, JSON, trajectories and pictures. What drives is
 //! [`crate::service::proving`]; nothing here decides how a robot moves.
 
-mod choice;
+pub(super) mod choice;
 mod film;
 mod report;
 mod sweep;

@@ -98,17 +98,36 @@ const COMMENTS: &[(&str, &str)] = &[
     ("safety.gpu_deadline_ms", "How long a GPU may take for a ping set before the CPU redoes it."),
     ("safety.group_deadline_ms", "How long to wait for the other sensors of an emission."),
     ("safety.input_max_age_ms", "Oldest wanted velocity that is still obeyed."),
-    ("detect", "Detectors on ranges."),
+    ("detect", "Detectors on ranges, beside the controller."),
+    (
+        "detect.enabled",
+        "Whether the daemon runs them and publishes noctule/scan, noctule/obstacle and noctule/objects.",
+    ),
+    (
+        "detect.drive_path",
+        "Whether the planned path below is driven: its follower wishes on noctule/input as any planner does.",
+    ),
     ("detect.projection", "Vector projection on the planned edge."),
     ("detect.projection.range_max_m", "Range beyond which a reading counts nothing."),
     ("detect.projection.edge_distance_max_m", "Distance from the edge beyond which the detector is blind."),
     ("detect.projection.threshold", "A projection above this, of at most 10, is an obstacle."),
     ("detect.projection.cone_deg", "Full apex angle of a virtual sonar's cone."),
+    (
+        "detect.projection.path_m",
+        "Corners [x, y] of the planned path in the frame of odometry; empty: no path, the detector idles.",
+    ),
+    ("detect.projection.safe_width_m", "Width that the robot needs; a passage that is narrower is none."),
+    (
+        "detect.projection.safe_path_only",
+        "Whether only reflectors count that stand within half of safe_width_m of the edge; false: all, as in paper 001.",
+    ),
+    ("detect.projection.speed_m_s", "Speed that the follower of the path wishes."),
     ("detect.ring", "Virtual sonar ring."),
     ("detect.ring.ring_radius_m", "Radius of the ring."),
     ("detect.ring.cone_deg", "Full apex angle of a virtual sonar's cone."),
     ("detect.ring.cell_m", "Edge of a cell of the occupancy grid."),
     ("detect.ring.range_noise_m", "Standard deviation of a reading: what an object's covariance follows from."),
+    ("detect.ring.range_max_m", "Farthest that a virtual sonar reads."),
 ];
 
 /// What is said above keys that several layers share, by their last part.

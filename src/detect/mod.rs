@@ -1,12 +1,32 @@
 //! The two range-based detectors: vector projection (paper 001) and the virtual sonar ring (paper 003).
 //!
 //! Range readings and a pose in; what is in the way, or where objects are, out. Both are pure geometry: where the readings
-//! come from, energyscapes or a file, is the caller's business. [`range_scan`] takes them from an energyscape.
+//! come from, energyscapes or a file, is the caller's business. [`range_scan`] takes them from an energyscape, [`scan_fuser`] from those
+//! of all sensors, [`virtual_sonar`] reads that as a sonar would.
+//!
+//! The way of vector projection: [`projection`] detects on an edge, [`local_map`] remembers reflectors, [`obstacle`] measures and plans
+//! a way round, [`path_follower`] drives. [`voronoi`] makes edges from walls.
 
+pub mod heading;
+pub mod local_map;
+pub mod obstacle;
+pub mod occupancy;
 pub mod params;
+pub mod path_follower;
 pub mod projection;
 pub mod range_scan;
 pub mod ring;
+pub mod ring_detector;
+pub mod route;
+pub mod scan_fuser;
+pub mod tracks;
+pub mod triangulation;
+pub mod virtual_ring;
+pub mod virtual_sonar;
+pub mod voronoi;
 
 pub use params::{DetectParams, ProjectionParams, RingParams};
+pub use path_follower::{Detector, FollowerState, ObstacleReport, PathFollower, ProjectionDetector};
 pub use range_scan::RangeScanner;
+pub use ring_detector::{RingDetector, RingReport};
+pub use scan_fuser::ScanFuser;

@@ -2,10 +2,14 @@
 //!
 //! Goes in: an image, with the floor and gain that the layers use, and which directions are hidden. Comes out: per direction an
 //! echo, nothing within range, or unseen. An echo lies where the envelope, having risen above the noise floor, peaks; the
-//! place is refined by a parabola through the three bins around it. A loud reflector's side lobes show at its own range in every
+//! place is refined by a parabola through the three bins around it. A loud reflector's side lobes show at about its own range in every
 //! direction and are not taken for echoes. Never fuses sensors or pings.
 
 use crate::signal::{Energyscape, PolarGrid, RangeScan, Reading};
+
+/// How far before and behind a loud reflector its side lobes reach: off its direction the microphones' echoes are added as far apart
+/// in range as half the array is wide (12 cm), and half a pulse more.
+const SIDE_LOBE_REACH_M: f64 = 0.06;
 
 /// Finds the nearest echoes of one sensor.
 #[derive(Debug, Clone)]
@@ -16,11 +20,14 @@ pub struct RangeScanner {
     side_lobe_share: f32,
     /// Largest value of each range bin over all directions; scratch.
     loudest: Vec<f32>,
+    /// The same over the bins that its side lobes reach; scratch.
+    around: Vec<f32>,
+    reach_bins: usize,
 }
 
 impl RangeScanner {
     /// A scanner for images on `grid`. `hidden` has one entry a direction, `floor_at` gives the envelope of the noise floor at a
-    /// range, and a cell below `side_lobe_share` of the loudest at its range is taken for that one's side lobe (0: none is).
+    /// range, and a cell below `side_lobe_share` of the loudest at about its range is taken for that one's side lobe (0: none is).
     #[must_use]
     pub fn new(grid: &PolarGrid, hidden: &[bool], floor_at: impl Fn(f64) -> f64, side_lobe_share: f64) -> Self {
         Self {
@@ -28,6 +35,8 @@ impl RangeScanner {
             floors: (0..grid.range_count()).map(|index| floor_at(grid.range_m(index)) as f32).collect(),
             side_lobe_share: side_lobe_share as f32,
             loudest: vec![0.0; grid.range_count()],
+            around: vec![0.0; grid.range_count()],
+            reach_bins: (SIDE_LOBE_REACH_M / grid.range_step_m()).ceil() as usize,
         }
     }
 
@@ -36,28 +45,46 @@ impl RangeScanner {
         scan.sensor_index = image.sensor_index;
         scan.sequence = image.sequence;
         scan.emitted_at = image.emitted_at;
+        self.scan_cells(&image.values, scan);
+    }
+
+    /// Fills the readings of `scan` from the cells of an image on its grid, row-major `[direction][range]`, wherever they lie.
+    /// Allocates nothing.
+    pub fn scan_cells(&mut self, cells: &[f32], scan: &mut RangeScan) {
         let range_count = self.floors.len();
-        let fits = image.values.len() == self.hidden.len() * range_count && scan.readings.len() == self.hidden.len();
+        let RangeScan { readings, grid, .. } = scan;
+        let fits = cells.len() == self.hidden.len() * range_count && readings.len() == self.hidden.len();
         if !fits {
-            scan.readings.fill(Reading::Unseen);
+            readings.fill(Reading::Unseen);
             return;
         }
         self.loudest.fill(0.0);
-        for row in image.values.chunks_exact(range_count) {
+        for row in cells.chunks_exact(range_count) {
             for (loudest, value) in self.loudest.iter_mut().zip(row) {
                 *loudest = loudest.max(*value);
             }
         }
-        let rows = image.values.chunks_exact(range_count).zip(&self.hidden);
-        for (reading, (row, hidden)) in scan.readings.iter_mut().zip(rows) {
-            let unseen = *hidden || !row.iter().all(|value| value.is_finite());
-            *reading = if unseen { Reading::Unseen } else { self.first_echo(row, &image.grid) };
+        for (index, around) in self.around.iter_mut().enumerate() {
+            let (first, last) = (index.saturating_sub(self.reach_bins), (index + self.reach_bins).min(range_count - 1));
+            *around = self.loudest[first..=last].iter().copied().fold(0.0, f32::max);
         }
+        let rows = cells.chunks_exact(range_count).zip(&self.hidden);
+        for (reading, (row, hidden)) in readings.iter_mut().zip(rows) {
+            let unseen = *hidden || !row.iter().all(|value| value.is_finite());
+            *reading = if unseen { Reading::Unseen } else { self.first_echo(row, grid) };
+        }
+    }
+
+    /// Envelope of the noise floor at the range bin nearest to `range_m`.
+    #[must_use]
+    pub fn floor_at(&self, grid: &PolarGrid, range_m: f64) -> f32 {
+        let bin = ((range_m - grid.range_first_m()) / grid.range_step_m()).round().max(0.0) as usize;
+        self.floors.get(bin).or(self.floors.last()).copied().unwrap_or(f32::INFINITY)
     }
 
     fn first_echo(&self, row: &[f32], grid: &PolarGrid) -> Reading {
         let heard = |index: &usize| {
-            row[*index] > self.floors[*index] && row[*index] >= self.side_lobe_share * self.loudest[*index]
+            row[*index] > self.floors[*index] && row[*index] >= self.side_lobe_share * self.around[*index]
         };
         let Some(rise) = (0..row.len()).find(heard) else { return Reading::Clear };
         let mut peak = rise;

@@ -2,7 +2,11 @@
 //!
 //! Goes in: twelve readings around the robot, 30 degrees apart. Comes out: a place and its covariance for every pair of
 //! neighbours that hear the same thing. What the paper prints as (vi) and (xi) to (xiii) is inconsistent; this is the geometry:
-//! two circles around two transducers that are the baseline b = 2 R sin 15 deg apart. Never fuses over pings.
+//! two circles around two transducers that are the baseline b = 2 R sin 15 deg apart. The paper's b is a constant of 12 cm
+//! "depending on the angle", which for its robot of 20 cm would be a step of 74 degrees; its last pair is (11, 1) where (11, 0)
+//! is meant (table 5), its rotations 1 to 3 fill cells n, n + 1, n + 2 where n, n + 4, n + 8 are meant (table 4), and table 7
+//! puts what it hears at 117.88 cm and at 23.36 cm 40 cm apart. Here all readings are of one moment; [`super::triangulation`]
+//! takes them from anywhere. Never fuses over pings.
 
 use super::params::RingParams;
 use crate::geometry::Pose2;
@@ -62,10 +66,14 @@ fn object(params: &RingParams, ranges_m: &[Option<f64>; SONARS], pose: &Pose2, p
     if !(off_first_rad.abs() <= half_cone_rad && off_second_rad.abs() <= half_cone_rad) {
         return None;
     }
+    // On the baseline's own line the distance out goes with the root of an error: a plain derivative there would be infinite.
+    let squared_m2 = params.range_noise_m
+        * (2.0 * first_m * (1.0 - from_first_m / baseline_m)).hypot(2.0 * second_m * from_first_m / baseline_m);
+    let slope_m = out_m.max(0.5 * squared_m2.sqrt());
     // Derivatives of (out, across) by the two readings.
     let by_readings = Matrix2::new(
-        first_m * (1.0 - from_first_m / baseline_m) / out_m,
-        second_m * from_first_m / baseline_m / out_m,
+        first_m * (1.0 - from_first_m / baseline_m) / slope_m,
+        second_m * from_first_m / baseline_m / slope_m,
         first_m / baseline_m,
         -second_m / baseline_m,
     );

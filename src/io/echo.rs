@@ -8,6 +8,7 @@ use super::node::{Ipc, Needs, Registration};
 use super::ports::{FixedSubscriber, SliceSubscriber};
 use super::session::Session;
 use super::topics::{self, Topic};
+use super::wire::detections::{Objects, Obstacle, Scan};
 use super::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput};
 use super::wire::telemetry::{Cues, Health, PlatformVelocity};
 use super::wire::{Primitive, WireType, fields_json};
@@ -21,6 +22,8 @@ use std::time::{Duration, Instant};
 
 /// Pause between two looks: what keeps fewest samples keeps one, at 10 Hz; the platform's four come every 20 ms.
 const LOOK_PAUSE: Duration = Duration::from_millis(2);
+/// Longest array that people are shown; programs get all of it.
+const LISTED_MAX: usize = 16;
 /// Fields that say nothing to people.
 const UNSAID: [&str; 5] = ["schema_hash", "reserved", "version", "checksum", "t_wall_ns"];
 
@@ -149,6 +152,9 @@ fn listen(session: &Session, topic: &Topic) -> Result<Box<dyn Listen>, IpcError>
         topics::PLATFORM => fixed::<PlatformVelocity>(session, topic),
         topics::CUES => fixed::<Cues>(session, topic),
         topics::HEALTH => fixed::<Health>(session, topic),
+        topics::SCAN => fixed::<Scan>(session, topic),
+        topics::OBSTACLE => fixed::<Obstacle>(session, topic),
+        topics::OBJECTS => fixed::<Objects>(session, topic),
         name if name.ends_with("/energyscape") => {
             Ok(Box::new(session.slice_subscriber::<f32, EnergyscapeHeader>(topic)?))
         }
@@ -175,6 +181,7 @@ fn line_for_people(fields: &Map<String, Value>) -> String {
 fn short(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),
+        Value::Array(values) if values.len() > LISTED_MAX => format!("[{} values]", values.len()),
         Value::Array(values) => format!("[{}]", values.iter().map(short).collect::<Vec<_>>().join(" ")),
         Value::Number(number) if number.is_f64() => {
             let number = number.as_f64().unwrap_or(f64::NAN);

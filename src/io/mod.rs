@@ -6,7 +6,7 @@
 //! | [`wire`] | the types on them |
 //! | [`node`], `session`, `ports`, `watch` | set-up, ports, a way out of a hang |
 //! | `root`, `files`, `probe` | root directory, locks, what lies there, whether it still does |
-//! | [`daemon_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`view_topics`], [`energyscape_reader`] | who publishes and listens to what |
+//! | [`daemon_topics`], [`detector_topics`], [`raw_topics`], [`clients`], [`status_topics`], [`view_topics`], [`energyscape_reader`] | who publishes and listens to what |
 //! | [`c_header`], [`relay`] | the types for clients in C, copies for other machines |
 //! | [`echo`] | what passes on a topic, for people and programs |
 //! | [`record`] | a run to MCAP and back |
@@ -19,6 +19,7 @@ pub mod c_header;
 mod canvas;
 pub mod clients;
 pub mod daemon_topics;
+pub mod detector_topics;
 pub mod echo;
 pub mod energyscape_reader;
 pub mod error;
@@ -49,6 +50,7 @@ pub mod wire;
 pub use canvas::encode_png;
 pub use clients::{ControllerTopics, InputPublisher, OperatorClient, PlatformSubscriber};
 pub use daemon_topics::{DaemonTopics, LastWord};
+pub use detector_topics::DetectorTopics;
 pub use echo::{Echo, EchoLimit};
 pub use energyscape_reader::EnergyscapeReader;
 pub use error::IpcError;

@@ -1,5 +1,5 @@
 //! The figures of paper 000, drawn from our own drives and configurations; curves of measured times ([`curves()`]); and what one
-//! ping was made of ([`heard()`], [`rectangular()`]).
+//! ping was made of ([`heard()`], [`rectangular()`]); and what a detector knows of its surroundings ([`grid_map()`]).
 //!
 //! | figure | function | what goes in |
 //! |---|---|---|
@@ -9,14 +9,17 @@
 //! | 7 | [`regions()`] | a robot and the regions of its layers |
 //! | 8 | [`masks_together()`] | the masks of a layer |
 //! | 11, 12 | [`paths()`], [`paths_by_layout()`] | the same, coloured by the layer that decided |
+//! | 8, 9 of paper 001 | [`edge_panels()`] | worlds with planned edges and ways |
 //!
 //! Every function is pure: the same input gives the same pixels. Whatever is not finite, or farther out than a world may
 //! reach, is left out of the picture; no input panics. Nothing here computes a result, it only shows what it is handed.
 
 mod chrome;
 mod curves;
+mod edges;
 mod flow_lines;
 mod frames;
+mod grid_map;
 mod heat_map;
 mod regions;
 mod robot;
@@ -25,8 +28,10 @@ mod trajectories;
 mod world;
 
 pub use curves::{CurvePanel, CurvePoint, curves};
+pub use edges::{Doing, EdgePanel, edge_panels};
 pub use flow_lines::{FlowCurve, FlowMark, FlowPanel, flow_lines};
 pub use frames::{energyscapes_together, frames};
+pub use grid_map::{PlottedGrid, PlottedObject, grid_map};
 pub use heat_map::{HeatMapOptions, HeatMeasure, heat_map};
 pub use regions::{PlottedRegions, masks_together, regions};
 pub use robot::PlottedRobot;

@@ -4,6 +4,7 @@
 //! Opens nothing itself.
 
 use super::params::IpcParams;
+use super::wire::detections::{Objects, Obstacle, Scan};
 use super::wire::message::{
     EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput, format_name,
 };
@@ -25,6 +26,12 @@ pub const ODOMETRY: &str = "noctule/odometry";
 pub const PLATFORM: &str = "noctule/platform";
 /// The sums behind the decisions.
 pub const CUES: &str = "noctule/cues";
+/// The range scan of the whole robot.
+pub const SCAN: &str = "noctule/scan";
+/// What stands on the planned way.
+pub const OBSTACLE: &str = "noctule/obstacle";
+/// Objects around the robot and the map of them.
+pub const OBJECTS: &str = "noctule/objects";
 /// How the daemon is.
 pub const HEALTH: &str = "noctule/health";
 /// Attribute of every service: the schema hash of its payload, or of its header where it has one, in 16 hex digits.
@@ -84,8 +91,8 @@ const NEWEST: Qos = Qos { publishers_max: 1, subscribers_max: 8, buffer: 1, borr
 const REPORT: Qos = Qos { borrowed: 2, buffer: 4, ..NEWEST };
 /// Several may ask; nothing asked for shall be lost.
 const REQUESTS: Qos = Qos { publishers_max: 8, subscribers_max: 8, buffer: 8, borrowed: 1, history: 0 };
-/// Large; a latecomer gets the newest at once.
-const IMAGE: Qos = Qos { publishers_max: 1, subscribers_max: 6, buffer: 1, borrowed: 2, history: 1 };
+/// Large; a latecomer gets the newest at once. One of the subscribers is the daemon's own, for the detectors.
+const IMAGE: Qos = Qos { publishers_max: 1, subscribers_max: 7, buffer: 1, borrowed: 2, history: 1 };
 /// Large; two emissions may wait.
 const RAW: Qos = Qos { publishers_max: 1, subscribers_max: 4, buffer: 2, borrowed: 1, history: 0 };
 
@@ -212,6 +219,24 @@ impl Topic {
         Self::fixed::<Cues>(CUES, REPORT, "daemon to anybody")
     }
 
+    /// `noctule/scan`.
+    #[must_use]
+    pub fn scan() -> Self {
+        Self::fixed::<Scan>(SCAN, NEWEST, "daemon to anybody")
+    }
+
+    /// `noctule/obstacle`.
+    #[must_use]
+    pub fn obstacle() -> Self {
+        Self::fixed::<Obstacle>(OBSTACLE, NEWEST, "daemon to anybody")
+    }
+
+    /// `noctule/objects`.
+    #[must_use]
+    pub fn objects() -> Self {
+        Self::fixed::<Objects>(OBJECTS, NEWEST, "daemon to anybody")
+    }
+
     /// `noctule/health`.
     #[must_use]
     pub fn health() -> Self {
@@ -259,6 +284,9 @@ impl Topic {
             Topic::operator(),
             Topic::odometry(),
             Topic::platform(),
+            Topic::scan(),
+            Topic::obstacle(),
+            Topic::objects(),
             Topic::health(),
         ]);
         topics
@@ -426,6 +454,9 @@ mod tests {
             "noctule/operator",
             "noctule/odometry",
             "noctule/platform",
+            "noctule/scan",
+            "noctule/obstacle",
+            "noctule/objects",
             "noctule/health",
         ];
         assert_eq!(names, expected);

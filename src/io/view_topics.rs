@@ -1,4 +1,5 @@
-//! Everything that the live page shows, heard by one client: health, cues, commands, what the platform is told, energyscapes.
+//! Everything that the live page shows, heard by one client: health, cues, commands, what the platform is told, energyscapes,
+//! what the detectors found.
 //!
 //! In: the topics. Out: sound samples only (layout and checksum are judged here), copied or shown where they lie. Listens only:
 //! never publishes, never holds a sample, and tells when its files were taken away, so that its owner opens it anew.
@@ -7,6 +8,7 @@ use super::error::IpcError;
 use super::node::{Ipc, Needs, Registration};
 use super::ports::{FixedSubscriber, SliceSubscriber};
 use super::topics::Topic;
+use super::wire::detections::{Objects, Obstacle, Scan};
 use super::wire::message::{EnergyscapeHeader, VelocityCommand};
 use super::wire::telemetry::{Cues, Health, PlatformVelocity};
 use super::wire::{Checked, WireType};
@@ -18,6 +20,9 @@ pub struct ViewTopics {
     cues: FixedSubscriber<Cues>,
     command: FixedSubscriber<VelocityCommand>,
     platform: FixedSubscriber<PlatformVelocity>,
+    scan: FixedSubscriber<Scan>,
+    obstacle: FixedSubscriber<Obstacle>,
+    objects: FixedSubscriber<Objects>,
     energyscapes: Vec<SliceSubscriber<f32, EnergyscapeHeader>>,
     registration: Registration,
 }
@@ -29,9 +34,17 @@ impl ViewTopics {
     /// [`IpcError`].
     pub fn open(ipc: &Ipc, sensors: &[String]) -> Result<Self, IpcError> {
         let images: Vec<Topic> = sensors.iter().map(|sensor| Topic::energyscape(sensor)).collect();
-        let heard = [Topic::health(), Topic::cues(), Topic::command(), Topic::platform()];
+        let heard = [
+            Topic::health(),
+            Topic::cues(),
+            Topic::command(),
+            Topic::platform(),
+            Topic::scan(),
+            Topic::obstacle(),
+            Topic::objects(),
+        ];
         let needs = heard.iter().chain(&images).fold(Needs::new(), Needs::subscriber);
-        let (registration, (health, cues, command, platform, energyscapes)) =
+        let (registration, (health, cues, command, platform, scan, obstacle, objects, energyscapes)) =
             ipc.set_up("noctule-view", needs, move |session| {
                 let energyscapes: Result<Vec<_>, IpcError> =
                     images.iter().map(|topic| session.slice_subscriber(topic)).collect();
@@ -40,10 +53,13 @@ impl ViewTopics {
                     session.subscriber(&Topic::cues())?,
                     session.subscriber(&Topic::command())?,
                     session.subscriber(&Topic::platform())?,
+                    session.subscriber(&Topic::scan())?,
+                    session.subscriber(&Topic::obstacle())?,
+                    session.subscriber(&Topic::objects())?,
                     energyscapes?,
                 ))
             })?;
-        Ok(Self { health, cues, command, platform, energyscapes, registration })
+        Ok(Self { health, cues, command, platform, scan, obstacle, objects, energyscapes, registration })
     }
 
     /// Whether the files of these topics are still those that were opened. Whoever publishes after they were taken away is not
@@ -76,6 +92,24 @@ impl ViewTopics {
     #[must_use]
     pub fn next_platform(&self) -> Option<PlatformVelocity> {
         self.platform.next().map(|(velocity, _)| velocity).filter(WireType::schema_matches)
+    }
+
+    /// The newest scan since the last call.
+    #[must_use]
+    pub fn scan(&self) -> Option<Scan> {
+        self.scan.newest().filter(WireType::schema_matches)
+    }
+
+    /// The newest word about the planned way since the last call.
+    #[must_use]
+    pub fn obstacle(&self) -> Option<Obstacle> {
+        self.obstacle.newest().filter(WireType::schema_matches)
+    }
+
+    /// The newest objects and map since the last call.
+    #[must_use]
+    pub fn objects(&self) -> Option<Objects> {
+        self.objects.newest().filter(WireType::schema_matches)
     }
 
     /// Shows the newest energyscape of a sensor since the last call, in shared memory; `None` without one, for a sensor that

@@ -5,6 +5,7 @@
 //! The only file of `io` where `unsafe` may stand (the transport's marker trait and its last resort). Never interprets
 //! what it carries: [`message`] turns nouns of [`crate::signal`] into these types and back.
 
+pub mod detections;
 pub mod message;
 pub mod telemetry;
 

@@ -15,7 +15,8 @@ use crate::io::DaemonTopics;
 use crate::io::record::Note;
 use crate::io::source::Moment;
 use crate::io::wire::message::{
-    EnergyscapeHeader, FLAG_BACKEND_FALLBACK, FLAG_CHANNELS_LEFT_OUT, Odometry, Request, VelocityCommand, VelocityInput,
+    EnergyscapeHeader, FLAG_BACKEND_FALLBACK, FLAG_CHANNELS_LEFT_OUT, FLAG_NO_WITNESS, Odometry, Request,
+    VelocityCommand, VelocityInput,
 };
 use crate::io::wire::telemetry::{CueThresholds, Cues};
 use crate::safety::{DaemonEvent, DaemonOutput, OperatorEvent};
@@ -244,6 +245,9 @@ impl DecisionLoop {
             }
             if self.pipeline.fell_back() {
                 header.flags |= FLAG_BACKEND_FALLBACK;
+            }
+            if !outcome.used[index] {
+                header.flags |= FLAG_NO_WITNESS;
             }
             headers[index] = Some(header);
             if let Err(error) = self.topics.publish_energyscape(index, &header, &energyscape.values) {

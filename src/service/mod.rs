@@ -1,15 +1,19 @@
 //! The daemon: a configuration and a source in; commands, energyscapes, cues and health out.
 //!
-//! Three threads. The *acquiring* thread asks the source for ping sets and hands them on, newest first
+//! Three threads that the robot depends on, and one that it does not. The *acquiring* thread asks the source for ping sets and hands them on, newest first
 //! ([`acquisition`], [`handoff`]). The *deciding* thread images, decides and publishes ([`decision`], around
 //! [`pipeline`]). The *watching* thread is the caller's: it has the last word to the robot, and ends the process when one of the
-//! others dies or hangs, since a daemon with a thread missing must not go on ([`watching`]).
+//! others dies or hangs, since a daemon with a thread missing must not go on ([`watching`]). The *detecting* thread reads the
+//! published images like any other reader ([`detecting`]).
 //!
 //! The same pipeline is driven in simulation, faster than real time: one robot in [`trial`], many in [`proving`], and
-//! sensor layouts are ranked by that in [`sweep`].
+//! sensor layouts are ranked by that in [`sweep`]. Corridors are driven by a detector alone in [`corridor`].
 
 pub mod acquisition;
+pub mod corridor;
 pub mod decision;
+mod detecting;
+mod detections;
 mod drive;
 pub mod handoff;
 pub mod health;
@@ -19,6 +23,8 @@ pub mod plots;
 pub mod proving;
 pub mod regions;
 pub mod replay;
+pub mod ring_scenes;
+pub mod scanning;
 pub mod soak;
 pub mod supervisor;
 pub mod sweep;
@@ -50,6 +56,7 @@ use crate::sim::{RobotParams, SimError, SimParams, Simulator, World};
 use crate::time::{Clock, Stamp, SystemClock};
 use acquisition::Delivered;
 use decision::DecisionLoop;
+use detecting::Detecting;
 use health::Reporter;
 use pipeline::Pipeline;
 use std::path::PathBuf;
@@ -211,6 +218,8 @@ fn drive_recorded(
     let empty = Delivered { pings: empty_ping_set(&setup), wanted: None, moment: None };
     let epoch = topics.epoch();
     let begun = SystemClock.now();
+    let notes = recording.as_ref().and_then(|recording| recording.as_ref().ok()).map(|recording| recording.tap.notes());
+    let detecting = Detecting::start(config, &setup, ipc, notes)?;
     let pipeline = Pipeline::new(config, setup, masks, imager, epoch, begun);
     let (tape, recorder) = match recording {
         None => (Tape::default(), None),
@@ -219,6 +228,9 @@ fn drive_recorded(
     };
     let decision = decision_loop(config, pipeline, topics, ipc, tape);
     let ended = watching::supervise(decision, source, empty, limit, stop);
+    if let Some(detecting) = detecting {
+        detecting.end();
+    }
     if let Some(recorder) = recorder {
         let planned = limit.is_some_and(|limit| SystemClock.now().since_ns(begun) >= limit.as_nanos() as i64);
         finish_recording(recorder, if planned { FINISH_LIMIT } else { SIGNAL_FINISH_LIMIT });

@@ -183,7 +183,7 @@ impl TrialRig {
 
 /// An imager of one thread. Simulated time waits for a GPU: a deadline in real time would make the result depend on the
 /// machine's load.
-fn open_imager(setup: &SensingSetup, masks: &MaskSet, prefer: Prefer) -> Result<Imager, BackendError> {
+pub(super) fn open_imager(setup: &SensingSetup, masks: &MaskSet, prefer: Prefer) -> Result<Imager, BackendError> {
     let options = ImagerOptions { threads: Some(1), gpu_deadline_ms: GPU_PATIENCE_MS };
     Imager::open(Arc::clone(&setup.plan), Arc::clone(masks.table()), prefer, options)
 }

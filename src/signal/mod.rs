@@ -6,6 +6,7 @@
 //! | [`PingSet`] of [`RawPing`]s | a source | `imaging` | `noctule/sonar/<name>/pdm`, `/pcm`, `/pcm_f32` |
 //! | [`Energyscape`] on a [`PolarGrid`] | `imaging` | `flow`, `detect`, anybody | `noctule/sonar/<name>/energyscape` |
 //! | [`RangeScan`] | `detect` | anybody | none (recordings carry it) |
+//! | [`RobotScan`] | `detect` | anybody | `noctule/scan` |
 //! | [`Mask`], [`MaskTable`] | `flow`, once | `imaging` | none (`noctule masks` writes them) |
 //! | [`RowSums`] | `imaging` | `flow` | none |
 //! | [`Cues`] | `flow` | `control`, anybody | `noctule/cues` |
@@ -17,6 +18,7 @@ mod energyscape;
 mod mask;
 mod ping;
 mod range_scan;
+mod robot_scan;
 mod status;
 mod velocity;
 
@@ -25,5 +27,6 @@ pub use energyscape::{Direction, Energyscape, PolarGrid};
 pub use mask::{Mask, MaskPurpose, MaskRow, MaskTable, NO_CELL, RowSums};
 pub use ping::{PingSet, RawPing, SENSORS_MAX, SampleFormat, Samples};
 pub use range_scan::{RangeScan, Reading};
+pub use robot_scan::{PEAKS_MAX, Peak, RAYS, Ray, RobotScan};
 pub use status::{DaemonState, GateState, Reason};
 pub use velocity::{Cause, Decision, LayerName, Velocity};

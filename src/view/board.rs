@@ -3,6 +3,7 @@
 //! Goes in: samples, as the listening thread hears them. Comes out: a [`Moment`], shared by everybody who looks and never
 //! changed again. Old values stay, with their times: whoever shows them has to show their age, too.
 
+use crate::io::wire::detections::{Objects, Obstacle, Scan};
 use crate::io::wire::message::{EnergyscapeHeader, VelocityCommand};
 use crate::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use crate::signal::{LayerName, SENSORS_MAX};
@@ -64,6 +65,12 @@ pub struct Moment {
     pub command: Option<VelocityCommand>,
     /// Newest word of the controller.
     pub platform: Option<PlatformVelocity>,
+    /// Newest scan of the whole robot.
+    pub scan: Option<Arc<Scan>>,
+    /// Newest word about the planned way.
+    pub obstacle: Option<Arc<Obstacle>>,
+    /// Newest objects and map.
+    pub objects: Option<Arc<Objects>>,
     /// Newest energyscapes, by sensor.
     pub images: [Option<Image>; SENSORS_MAX],
     /// Counts.
@@ -239,12 +246,20 @@ impl Board {
         self.now.platform = Some(platform);
     }
 
+    /// The detectors were heard, those that are some.
+    pub fn detections(&mut self, scan: Option<Scan>, obstacle: Option<Obstacle>, objects: Option<Objects>) {
+        self.now.scan = scan.map(Arc::new).or(self.now.scan.take());
+        self.now.obstacle = obstacle.map(Arc::new).or(self.now.obstacle.take());
+        self.now.objects = objects.map(Arc::new).or(self.now.objects.take());
+    }
+
     /// A command was heard.
     pub fn command(&mut self, command: VelocityCommand) {
         if self.now.command.is_some_and(|before| before.epoch != command.epoch) {
             // What another start of the daemon said has no meaning beside the new one's words.
             self.now.counts.epochs += 1;
             (self.now.cues, self.now.images) = (None, Default::default());
+            (self.now.scan, self.now.obstacle, self.now.objects) = (None, None, None);
             self.now.health = self.now.health.filter(|health| health.epoch == command.epoch);
         }
         if let Some(count) = self.now.counts.layers.get_mut(command.layer as usize) {

@@ -101,6 +101,8 @@ impl Listener {
             self.board.health(health);
             heard.anything = true;
         }
+        // They ride along, too: without an image there are none.
+        self.board.detections(topics.scan(), topics.obstacle(), topics.objects());
         for sensor_index in 0..self.robot.sensors.len().min(SENSORS_MAX) {
             if let Some(image) = self.image(topics, sensor_index) {
                 self.board.image(sensor_index, image);

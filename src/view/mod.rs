@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`board`], `listener` | the newest of every topic, counts and history; the thread that listens |
 //! | [`screen`] | an energyscape, made small enough for a screen |
-//! | [`robot`], [`state`], [`why`] | what the page is told: the robot once, then every ping set, and why it moves so |
+//! | [`robot`], [`state`], [`detections`], [`why`] | what the page is told: the robot once, then every ping set, and why it moves so |
 //! | [`access`] | token, session, Host and Origin: who may look |
 //! | [`server`], `page` | connections within limits, files and sockets of the page |
 //! | [`metrics`] | the page of numbers |
@@ -16,6 +16,7 @@
 
 pub mod access;
 pub mod board;
+pub mod detections;
 mod foxglove;
 mod listener;
 pub mod metrics;

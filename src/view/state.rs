@@ -4,6 +4,7 @@
 //! so that the page can tell the age of what it shows; what was never heard is null, and numbers that are none are null, too.
 
 use super::board::Moment;
+use super::detections;
 use super::robot::Robot;
 use super::why;
 use crate::io::wire::message::{VelocityCommand, backend_name, layer_name};
@@ -31,6 +32,9 @@ pub fn state_json(moment: &Moment, robot: &Robot) -> Value {
         "command": moment.command.as_ref().map(|command| command_json(command, moment, robot)),
         "cues": moment.cues.as_ref().map(|cues| cues_json(cues, robot)),
         "health": moment.health.as_ref().map(health_json),
+        "scan": moment.scan.as_deref().map(detections::scan_json),
+        "obstacle": moment.obstacle.as_deref().map(|obstacle| detections::obstacle_json(obstacle, moment.objects.as_deref())),
+        "objects": moment.objects.as_deref().map(detections::objects_json),
         "sensors": robot.sensors.iter().enumerate().map(|(index, _)| sensor_json(moment, index)).collect::<Vec<_>>(),
     })
 }
@@ -167,7 +171,7 @@ mod tests {
     fn what_was_never_heard_is_null_and_what_is_no_number_is_null_too() {
         let robot = Robot::new(&Config::default()).expect("robot");
         let empty = state_json(&Moment::default(), &robot);
-        for key in ["daemon", "controller", "command", "cues", "health", "trouble"] {
+        for key in ["daemon", "controller", "command", "cues", "health", "trouble", "scan", "obstacle", "objects"] {
             assert!(empty[key].is_null(), "{key}");
         }
         assert_eq!(empty["sensors"].as_array().map(Vec::len), Some(3));

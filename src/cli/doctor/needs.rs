@@ -3,7 +3,7 @@
 use super::Line;
 use crate::config::Config;
 use crate::io::survey::Survey;
-use crate::io::{DaemonTopics, RawPublisher, free_bytes_of};
+use crate::io::{DaemonTopics, DetectorTopics, RawPublisher, free_bytes_of};
 use crate::service::wiring;
 use rustix::process::{Resource, getrlimit};
 use std::path::Path;
@@ -36,11 +36,13 @@ impl Sizes {
         let setup = wiring::sensing(config).map_err(|error| error.to_string())?;
         let (sensors, cells) = (setup.sensor_names(), setup.cell_counts());
         let raw = setup.raw_shapes().into_iter().map(|(sensor, shape)| RawPublisher::needed_bytes(&sensor, shape));
-        Ok(Self {
-            daemon_bytes: DaemonTopics::needed_bytes(&sensors, &cells),
-            raw_bytes: raw.sum(),
-            descriptors: DaemonTopics::needed_descriptors(&sensors, &cells),
-        })
+        let (mut bytes, mut descriptors) =
+            (DaemonTopics::needed_bytes(&sensors, &cells), DaemonTopics::needed_descriptors(&sensors, &cells));
+        if config.detect.enabled {
+            bytes += DetectorTopics::needed_bytes(&sensors);
+            descriptors += DetectorTopics::needed_descriptors(&sensors);
+        }
+        Ok(Self { daemon_bytes: bytes, raw_bytes: raw.sum(), descriptors })
     }
 }
 

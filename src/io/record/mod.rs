@@ -24,7 +24,7 @@ mod volume;
 mod writer;
 
 pub use reader::{Entry, RunReader};
-pub use slots::{Note, Slot, Tap};
+pub use slots::{Note, NoteTap, Slot, Tap};
 pub use writer::{RecordState, Recorder, Recording, Tally};
 
 use crate::sensor::{RecordingFormat, SensorSetup};

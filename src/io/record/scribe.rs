@@ -9,6 +9,9 @@
 //! | `/noctule/command`, `/noctule/cmd_vel` | noctule_msgs/VelocityCommand with its cause, geometry_msgs/TwistStamped |
 //! | `/noctule/platform`, `/noctule/platform_vel` | noctule_msgs/PlatformVelocity, geometry_msgs/TwistStamped |
 //! | `/noctule/cues`, `/input`, `/operator`, `/odometry`, `/health` | the topics' own types |
+//! | `/noctule/scan`, `/noctule/laser_scan` | noctule_msgs/Scan, sensor_msgs/LaserScan of the whole robot |
+//! | `/noctule/obstacle` | noctule_msgs/Obstacle |
+//! | `/noctule/objects`, `/noctule/map` | noctule_msgs/Objects, nav_msgs/OccupancyGrid |
 //! | `/noctule/pipeline` | noctule_msgs/PipelineStep: what a replay repeats |
 //! | `/diagnostics`, `/tf`, `/tf_static` | diagnostic_msgs/DiagnosticArray, tf2_msgs/TFMessage |
 //!
@@ -133,8 +136,29 @@ impl Scribe {
                 let diagnostics = ros::health_diagnostics(health);
                 self.put(ros::DIAGNOSTICS_TOPIC, health.ping_set_count, now, health.t_wall_ns, &diagnostics)?;
             }
+            Note::Scan(_) | Note::Obstacle(_) | Note::Objects(_) => self.detection(now, note)?,
         }
         self.next_part(now)
+    }
+
+    fn detection(&mut self, now: Stamp, note: &Note) -> Result<(), RecordError> {
+        match note {
+            Note::Scan(scan) => {
+                let (sequence, at) = (scan.sequence, scan.t_wall_ns);
+                self.wire("/noctule/scan", ros::BASE_FRAME, sequence, now, at, &**scan)?;
+                self.put(ros::LASER_SCAN_TOPIC, sequence, now, at, &ros::robot_laser_scan(scan, self.period_s))
+            }
+            Note::Obstacle(obstacle) => {
+                let (sequence, at) = (obstacle.sequence, obstacle.t_wall_ns);
+                self.wire("/noctule/obstacle", ros::ODOMETRY_FRAME, sequence, now, at, &**obstacle)
+            }
+            Note::Objects(objects) => {
+                let (sequence, at) = (objects.sequence, objects.t_wall_ns);
+                self.wire("/noctule/objects", ros::objects_frame(objects), sequence, now, at, &**objects)?;
+                self.put(ros::MAP_TOPIC, sequence, now, at, &ros::occupancy_grid(objects))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Writes a ping set: raw pings, what the pipeline was told, images, axes and scans.

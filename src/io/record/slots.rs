@@ -6,6 +6,7 @@
 use super::RecordSubject;
 use super::writer::Shared;
 use crate::io::ros::PipelineStep;
+use crate::io::wire::detections::{Objects, Obstacle, Scan};
 use crate::io::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, VelocityCommand, VelocityInput};
 use crate::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use crate::signal::{Energyscape, PingSet, SENSORS_MAX, Samples};
@@ -21,7 +22,7 @@ pub(super) const NOTES_MAX: usize = 2048;
 const PATIENCE: Duration = Duration::from_millis(1);
 
 /// Something small.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub enum Note {
     /// What the pipeline was told.
     Step(PipelineStep),
@@ -39,6 +40,12 @@ pub enum Note {
     Platform(PlatformVelocity),
     /// How the daemon is.
     Health(Health),
+    /// A scan of the whole robot. Boxed, as what follows: too large to keep room for in every note, and from a thread that may allocate.
+    Scan(Box<Scan>),
+    /// What stands on the planned way.
+    Obstacle(Box<Obstacle>),
+    /// Objects and map.
+    Objects(Box<Objects>),
 }
 
 /// A ping set with what was made of it; whatever is absent is not written.
@@ -121,6 +128,22 @@ pub(super) enum Item {
     Set(Stamp, Box<Slot>),
 }
 
+/// A second way in, for notes of another thread.
+#[derive(Clone)]
+pub struct NoteTap {
+    items: SyncSender<Item>,
+    shared: Arc<Shared>,
+}
+
+impl NoteTap {
+    /// Notes something small. Where the queue is full it is lost, and counted.
+    pub fn note(&self, now: Stamp, note: Note) {
+        if self.items.try_send(Item::Note(now, note)).is_err() {
+            self.shared.dropped_notes.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
 /// The side of whoever decides.
 pub struct Tap {
     pub(super) items: SyncSender<Item>,
@@ -166,6 +189,12 @@ impl Tap {
     #[must_use]
     pub fn tally(&self) -> super::Tally {
         self.shared.tally()
+    }
+
+    /// A second way in. The recording ends when the last of them and this one are dropped.
+    #[must_use]
+    pub fn notes(&self) -> NoteTap {
+        NoteTap { items: self.items.clone(), shared: Arc::clone(&self.shared) }
     }
 
     fn numbered(&mut self, step: PipelineStep) -> PipelineStep {

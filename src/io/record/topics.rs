@@ -11,6 +11,7 @@ use crate::io::ports::{FixedSubscriber, SliceSubscriber};
 use crate::io::raw_topics::{LiveTopics, RawShape};
 use crate::io::topics::Topic;
 use crate::io::wire::WireType;
+use crate::io::wire::detections::{Objects, Obstacle, Scan};
 use crate::io::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, VelocityCommand, VelocityInput};
 use crate::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use crate::signal::{PingSet, SENSORS_MAX};
@@ -26,6 +27,9 @@ pub struct RecordTopics {
     input: FixedSubscriber<VelocityInput>,
     operator: FixedSubscriber<OperatorRequest>,
     odometry: FixedSubscriber<Odometry>,
+    scan: FixedSubscriber<Scan>,
+    obstacle: FixedSubscriber<Obstacle>,
+    objects: FixedSubscriber<Objects>,
     raw: Option<LiveTopics>,
     pings: PingSet,
     refused: u64,
@@ -48,6 +52,9 @@ impl RecordTopics {
             Topic::input(),
             Topic::operator(),
             Topic::odometry(),
+            Topic::scan(),
+            Topic::obstacle(),
+            Topic::objects(),
         ];
         let needs = images.iter().chain(&small).fold(Needs::new(), Needs::subscriber);
         let raw = if raw { Some(LiveTopics::open(ipc, sensors)?) } else { None };
@@ -62,6 +69,9 @@ impl RecordTopics {
                 session.subscriber(&Topic::input())?,
                 session.subscriber(&Topic::operator())?,
                 session.subscriber(&Topic::odometry())?,
+                session.subscriber(&Topic::scan())?,
+                session.subscriber(&Topic::obstacle())?,
+                session.subscriber(&Topic::objects())?,
             ))
         })?;
         Ok(Self {
@@ -73,6 +83,9 @@ impl RecordTopics {
             input: topics.5,
             operator: topics.6,
             odometry: topics.7,
+            scan: topics.8,
+            obstacle: topics.9,
+            objects: topics.10,
             raw,
             pings,
             refused: 0,
@@ -116,6 +129,9 @@ impl RecordTopics {
         notes(&self.input, now, tap, Note::Input);
         notes(&self.operator, now, tap, Note::Operator);
         notes(&self.odometry, now, tap, Note::Odometry);
+        notes(&self.scan, now, tap, |scan| Note::Scan(Box::new(scan)));
+        notes(&self.obstacle, now, tap, |obstacle| Note::Obstacle(Box::new(obstacle)));
+        notes(&self.objects, now, tap, |objects| Note::Objects(Box::new(objects)));
     }
 }
 

@@ -4,11 +4,12 @@
 //! equally spaced in the horizontal plane has no laser scan. Loses nothing that replay needs: that goes as it is.
 
 use super::standard::{
-    DiagnosticArray, DiagnosticStatus, Header, Image, KeyValue, LaserScan, Octets, Quaternion, TFMessage, Transform,
-    TransformStamped, Twist, TwistStamped, Vector3,
+    DiagnosticArray, DiagnosticStatus, Header, Image, KeyValue, LaserScan, MapMetaData, OccupancyGrid, Octets, Pose,
+    Quaternion, TFMessage, Time, Transform, TransformStamped, Twist, TwistStamped, Vector3,
 };
 use super::{BASE_FRAME, ODOMETRY_FRAME, sensor_frame};
 use crate::geometry::Pose2;
+use crate::io::wire::detections::{MAP_CELLS, Objects, Scan};
 use crate::io::wire::fields_json;
 use crate::io::wire::message::{Odometry, VelocityCommand};
 use crate::io::wire::telemetry::{Health, PlatformVelocity};
@@ -55,6 +56,48 @@ fn range_and_intensity(reading: Reading) -> (f32, f32) {
         Reading::Unseen => (f32::NAN, 0.0),
         Reading::Clear => (f32::INFINITY, 0.0),
         Reading::Echo { range_m, energy } => (range_m as f32, energy),
+    }
+}
+
+/// The scan of the whole robot as sensor_msgs/LaserScan in the robot's frame, `period_s` after the last.
+#[must_use]
+pub fn robot_laser_scan(scan: &Scan, period_s: f64) -> LaserScan {
+    let last_rad = scan.bearing_first_rad + (scan.range_m.len() - 1) as f64 * scan.bearing_step_rad;
+    LaserScan {
+        header: Header::new(scan.t_wall_ns, BASE_FRAME),
+        angle_min: scan.bearing_first_rad as f32,
+        angle_max: last_rad as f32,
+        angle_increment: scan.bearing_step_rad as f32,
+        time_increment: 0.0,
+        scan_time: period_s as f32,
+        range_min: scan.range_min_m as f32,
+        range_max: scan.range_max_m as f32,
+        ranges: scan.range_m.to_vec(),
+        intensities: scan.amplitude.to_vec(),
+    }
+}
+
+/// Frame of objects and map.
+#[must_use]
+pub fn objects_frame(objects: &Objects) -> &'static str {
+    if objects.frame == 0 { ODOMETRY_FRAME } else { BASE_FRAME }
+}
+
+/// The occupancy map as nav_msgs/OccupancyGrid.
+#[must_use]
+pub fn occupancy_grid(objects: &Objects) -> OccupancyGrid {
+    let corner_m = |middle_m: f64| middle_m - 0.5 * objects.cell_m;
+    let corner = Vector3 { x: corner_m(objects.map_x_m), y: corner_m(objects.map_y_m), z: 0.0 };
+    OccupancyGrid {
+        header: Header::new(objects.t_wall_ns, objects_frame(objects)),
+        info: MapMetaData {
+            map_load_time: Time::from_wall_ns(objects.t_wall_ns),
+            resolution: objects.cell_m as f32,
+            width: MAP_CELLS as u32,
+            height: MAP_CELLS as u32,
+            origin: Pose { position: corner, orientation: Quaternion::from_yaw_rad(0.0) },
+        },
+        data: objects.map.iter().map(|cell| (*cell).clamp(-1, 100) as i8).collect(),
     }
 }
 

@@ -11,12 +11,12 @@ mod step;
 mod wire_message;
 
 pub use convert::{
-    command_twist, energyscape_image, health_diagnostics, laser_scan, mount_transforms, odometry_transform,
-    platform_diagnostics, platform_twist,
+    command_twist, energyscape_image, health_diagnostics, laser_scan, mount_transforms, objects_frame, occupancy_grid,
+    odometry_transform, platform_diagnostics, platform_twist, robot_laser_scan,
 };
 pub use standard::{
-    DiagnosticArray, DiagnosticStatus, Header, Image, KeyValue, LaserScan, Octets, Quaternion, TFMessage, Time,
-    Transform, TransformStamped, Twist, TwistStamped, Vector3,
+    DiagnosticArray, DiagnosticStatus, Header, Image, KeyValue, LaserScan, MapMetaData, OccupancyGrid, Octets, Pose,
+    Quaternion, TFMessage, Time, Transform, TransformStamped, Twist, TwistStamped, Vector3,
 };
 pub use step::{PipelineStep, StepKind};
 pub use wire_message::{RawPingMessage, WireMessage};
@@ -39,6 +39,10 @@ const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 pub const COMMAND_TWIST_TOPIC: &str = "/noctule/cmd_vel";
 /// Topic of what the controller really commands, as ROS knows velocities.
 pub const PLATFORM_TWIST_TOPIC: &str = "/noctule/platform_vel";
+/// Topic of the scan of the whole robot as ROS knows scans.
+pub const LASER_SCAN_TOPIC: &str = "/noctule/laser_scan";
+/// Topic of the occupancy map as ROS knows maps.
+pub const MAP_TOPIC: &str = "/noctule/map";
 /// Topic of diagnostics.
 pub const DIAGNOSTICS_TOPIC: &str = "/diagnostics";
 /// Topic of where the sensors stand.

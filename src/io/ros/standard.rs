@@ -327,3 +327,55 @@ message!(
         header_definition!()
     )
 );
+
+/// geometry_msgs/Pose.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Place.
+    pub position: Vector3,
+    /// Heading.
+    pub orientation: Quaternion,
+}
+
+/// nav_msgs/MapMetaData.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct MapMetaData {
+    /// When the map was made.
+    pub map_load_time: Time,
+    /// Edge of a cell, metres.
+    pub resolution: f32,
+    /// Cells along x.
+    pub width: u32,
+    /// Cells along y.
+    pub height: u32,
+    /// Corner of the first cell.
+    pub origin: Pose,
+}
+
+/// nav_msgs/OccupancyGrid.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OccupancyGrid {
+    /// Time and frame.
+    pub header: Header,
+    /// Size and place.
+    pub info: MapMetaData,
+    /// Row by row from the origin: 0 to 100 per cent, -1 unknown.
+    pub data: Vec<i8>,
+}
+message!(
+    OccupancyGrid,
+    "nav_msgs/msg/OccupancyGrid",
+    concat!(
+        "std_msgs/Header header\nnav_msgs/MapMetaData info\nint8[] data\n",
+        rule!(),
+        "MSG: nav_msgs/MapMetaData\nbuiltin_interfaces/Time map_load_time\nfloat32 resolution\nuint32 width\nuint32 height\n",
+        "geometry_msgs/Pose origin\n",
+        rule!(),
+        "MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
+        rule!(),
+        "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n",
+        rule!(),
+        "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
+        header_definition!()
+    )
+);

@@ -17,6 +17,9 @@ pub const FLAG_EQUAL_DIRECTIONS: u32 = 1;
 pub const FLAG_CHANNELS_LEFT_OUT: u32 = 2;
 /// Set in [`EnergyscapeHeader::flags`] when the CPU redid what the GPU failed to do.
 pub const FLAG_BACKEND_FALLBACK: u32 = 4;
+/// Set in [`EnergyscapeHeader::flags`] when the sensor is no witness of free space: it did not hear its own emission, or too few of its
+/// channels are sound. Echoes in the image may be real; silence in it means nothing.
+pub const FLAG_NO_WITNESS: u32 = 8;
 
 wire_type! {
     /// Header of a raw ping; the payload is `[u32]` PDM words, or `[i16]` or `[f32]` PCM as `[channel][sample]`.
@@ -79,7 +82,7 @@ wire_type! {
         range_count: u32,
         /// 0 CPU, 1 GPU.
         backend: u32 as backend_name,
-        /// 1 equally spaced directions, 2 channels left out, 4 the CPU redid what the GPU failed to do.
+        /// 1 equally spaced directions, 2 channels left out, 4 the CPU redid what the GPU failed to do, 8 silence here is no free space.
         flags: u32,
     }
 }

@@ -13,7 +13,7 @@ const SILENT_MS = 3000;
 const REACHES = [1, 1.5, 2, 2.5, 3, 4, 5, 6, 8];
 const SHORT = {
   collision_avoidance: "collision", obstacle_avoidance: "obstacle", corridor_following: "corridor",
-  flow_following: "flow lines", echoes: "echoes",
+  flow_following: "flow lines", echoes: "echoes", detections: "detections",
 };
 const MOODS = {
   ACTIVE: "good", DEGRADED: "warn", READY: "warn", BOOT: "warn", SELFTEST: "warn", STOPPED: "bad", FAULT: "bad", SHUTDOWN: "bad",
@@ -132,7 +132,7 @@ document.addEventListener("keydown", (event) => {
 
 function buildLegend() {
   const legend = byId("layers-shown");
-  legend.replaceChildren(...["echoes", ...robot.regions.map((region) => region.layer).reverse(), ...(robot.flow_lines.length ? ["flow_following"] : [])].map((layer) => {
+  legend.replaceChildren(...["echoes", "detections", ...robot.regions.map((region) => region.layer).reverse(), ...(robot.flow_lines.length ? ["flow_following"] : [])].map((layer) => {
     const box = make("input", undefined, { type: "checkbox" });
     box.checked = plan.shown[layer];
     box.onchange = () => { plan.shown[layer] = box.checked; draw(true); };

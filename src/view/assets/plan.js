@@ -5,6 +5,8 @@ import { Ground, INK, fit, label, veil } from "/scape.js";
 const WALL = "#7cc0ff";
 const COMMAND = "#4cc9dc";
 const DRIVEN = "#ffb454";
+const REFLECTOR = "#f4f1a6";
+const OBSTACLE = "#ff6b8b";
 /** Layers on the dark picture, whatever the theme. */
 export const TONES = {
   collision_avoidance: "#f0883e", obstacle_avoidance: "#f2c744", flow_following: "#58a6ff",
@@ -19,7 +21,7 @@ export class Plan {
     this.canvas = canvas;
     this.ground = new Ground();
     this.reach = 2.5;
-    this.shown = { echoes: true, collision_avoidance: true, obstacle_avoidance: true, corridor_following: true, flow_following: true };
+    this.shown = { echoes: true, detections: true, collision_avoidance: true, obstacle_avoidance: true, corridor_following: true, flow_following: true };
   }
 
   draw(robot, state, images, stale) {
@@ -40,6 +42,7 @@ export class Plan {
     this.drawRings(robot);
     this.drawRegions(robot);
     if (state?.cues && this.shown.flow_following) this.drawWalls(robot, state.cues);
+    if (state && this.shown.detections) this.drawDetections(state);
     this.drawRobot(robot);
     if (state?.command) {
       this.drawCause(robot, state.command);
@@ -127,6 +130,79 @@ export class Plan {
       const [x, y] = this.at(-half - 0.09 * this.reach / 2.5, wall.lateral_m);
       label(context, `wall ${Math.abs(wall.lateral_m).toFixed(2)} m`, x, y, WALL);
     }
+  }
+
+  /** Map, what is known to be free, reflectors, objects, and the way round an obstacle; all in the robot's frame. */
+  drawDetections({ scan, obstacle, objects, now_ms }) {
+    const fresh = (part) => part && now_ms - part.emitted_ms < 1000;
+    if (fresh(objects)) this.drawMap(objects);
+    if (fresh(scan)) this.drawScan(scan);
+    if (fresh(objects)) objects.objects.forEach((object) => this.drawObject(object));
+    if (fresh(obstacle)) this.drawObstacle(obstacle);
+  }
+
+  drawMap({ occupied, cell_m, cell_angle_rad }) {
+    const { context } = this;
+    const side = cell_m * this.scale;
+    context.fillStyle = "rgba(255, 138, 101, .22)";
+    for (const [x, y] of occupied) {
+      context.save();
+      context.translate(...this.at(x, y));
+      context.rotate(-cell_angle_rad);
+      context.fillRect(-side / 2, -side / 2, side, side);
+      context.restore();
+    }
+  }
+
+  drawScan({ first_rad, step_rad, near_m, free_m, peaks }) {
+    const { context, dot } = this;
+    context.fillStyle = "rgba(63, 207, 159, .07)";
+    free_m.forEach((far, index) => {
+      if (far <= near_m) return;
+      const [from, to] = [first_rad + (index - 0.5) * step_rad, first_rad + (index + 0.5) * step_rad];
+      const corner = (range, angle) => [range * Math.cos(angle), range * Math.sin(angle)];
+      this.path([corner(near_m, from), corner(far, from), corner(far, to), corner(near_m, to)]);
+      context.fill();
+    });
+    context.fillStyle = REFLECTOR;
+    for (const [x, y] of peaks) {
+      context.beginPath();
+      context.arc(...this.at(x, y), 2.5 * dot, 0, 2 * Math.PI);
+      context.fill();
+    }
+  }
+
+  drawObject({ x_m, y_m, long_m, wide_m, angle_rad, score }) {
+    const { context, dot } = this;
+    context.save();
+    context.translate(...this.at(x_m, y_m));
+    context.rotate(-Math.PI / 2 - angle_rad);
+    context.globalAlpha = 0.3 + 0.7 * score;
+    context.strokeStyle = REFLECTOR;
+    context.lineWidth = 1.5 * dot;
+    context.beginPath();
+    context.ellipse(0, 0, Math.max(long_m * this.scale, 3 * dot), Math.max(wide_m * this.scale, 3 * dot), 0, 0, 2 * Math.PI);
+    context.stroke();
+    context.restore();
+  }
+
+  drawObstacle({ follower, detected, place, route }) {
+    const { context, dot } = this;
+    if (!follower || follower === "IDLE") return;
+    if (detected && place) {
+      const [x, y] = this.at(...place);
+      context.strokeStyle = OBSTACLE;
+      context.lineWidth = 3 * dot;
+      context.strokeRect(x - 7 * dot, y - 7 * dot, 14 * dot, 14 * dot);
+      label(context, follower.toLowerCase(), x, y - 16 * dot, OBSTACLE);
+    }
+    if (route.length < 2) return;
+    context.strokeStyle = OBSTACLE;
+    context.lineWidth = 2 * dot;
+    context.setLineDash([6 * dot, 4 * dot]);
+    this.path(route);
+    context.stroke();
+    context.setLineDash([]);
   }
 
   drawRobot(robot) {

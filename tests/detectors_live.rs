@@ -1,0 +1,107 @@
+//! Contract: the running daemon publishes scan, obstacle and objects of the ping sets that it images, and records them as they were
+//! published; told not to, it publishes none, and everything else as before.
+
+mod ipc_rig;
+
+use assert_cmd::cargo::CommandCargoExt as _;
+use ipc_rig::Place;
+use noctule::io::record::RunReader;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+const TOPICS: [&str; 4] = ["noctule/scan", "noctule/obstacle", "noctule/objects", "noctule/command"];
+
+fn noctule(config: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("noctule").expect("built");
+    command.args(arguments).arg("--config").arg(config).stderr(Stdio::null());
+    command
+}
+
+/// One listener a topic, of a daemon that drives the simulated robot for three seconds; what each heard.
+fn heard(place: &Place, config: &Path, run_also: &[&str]) -> Vec<Vec<Value>> {
+    // Into files: scans of three seconds are more than a pipe that nobody reads yet holds.
+    let file = |topic: &str| place.directory.path().join(topic.replace('/', "_"));
+    let listen = |topic: &&str| -> Child {
+        let out = File::create(file(topic)).expect("made");
+        noctule(config, &["echo", topic, "--json"]).stdout(out).spawn().expect("started")
+    };
+    let listeners: Vec<Child> = TOPICS.iter().map(listen).collect();
+    let mut run = vec!["run", "--source", "sim", "--backend", "cpu", "--duration", "3"];
+    run.extend(run_also);
+    let status = noctule(config, &run).stdout(Stdio::null()).status().expect("run");
+    assert!(status.success(), "{status}");
+    let lines = |(topic, mut child): (&str, Child)| {
+        let process = rustix::process::Pid::from_child(&child);
+        rustix::process::kill_process(process, rustix::process::Signal::TERM).expect("told to end");
+        assert!(child.wait().expect("ended").success());
+        let text = std::fs::read_to_string(file(topic)).expect("UTF-8");
+        text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect()
+    };
+    TOPICS.into_iter().zip(listeners).map(lines).collect()
+}
+
+fn times(samples: &[Value]) -> BTreeSet<u64> {
+    samples.iter().filter_map(|sample| sample["t_monotonic_ns"].as_u64()).collect()
+}
+
+fn array<'a>(sample: &'a Value, field: &str) -> &'a [Value] {
+    sample[field].as_array().map_or(&[], Vec::as_slice)
+}
+
+#[test]
+fn detections_of_every_ping_set_are_published_and_recorded() {
+    let place = Place::new();
+    let config = place.config_file();
+    let recording = place.directory.path().join("run.mcap");
+    let all = heard(&place, &config, &["--record", recording.to_str().expect("UTF-8")]);
+    let [scans, obstacles, objects, commands] = all.as_slice() else { panic!("{}", all.len()) };
+    // Three seconds are thirty ping sets; the first of them are taken by the self-test.
+    for (topic, samples) in TOPICS.iter().zip(&all) {
+        assert!(samples.len() >= 20, "{topic}: {}", samples.len());
+    }
+    let commanded = times(commands);
+    let known = |samples: &[Value]| times(samples).iter().filter(|time| commanded.contains(time)).count();
+    for samples in [scans, obstacles, objects] {
+        // A listener may miss what was published while it was being started.
+        assert!(known(samples) + 3 >= samples.len(), "of emissions that were commanded from");
+    }
+    let scan = scans.last().expect("some");
+    assert_eq!(array(scan, "range_m").len(), 360);
+    let echoes = array(scan, "answer").iter().filter(|answer| *answer == "echo").count();
+    let peaks = scan["peak_count"].as_u64().expect("number");
+    assert!(echoes > 10 && peaks > 0 && scan["sensors_used"] == 7, "{echoes} echoes, {peaks} peaks");
+    // Without a path there is no edge, and the detector says that it sees nothing rather than that nothing is there.
+    let obstacle = obstacles.last().expect("some");
+    assert_eq!(
+        (&obstacle["follower"], &obstacle["detected"], &obstacle["edge_index"]),
+        (&"IDLE".into(), &0.into(), &u32::MAX.into())
+    );
+    let map = objects.last().expect("some");
+    assert_eq!((&map["frame"], array(map, "map").len()), (&"odometry".into(), 64 * 64));
+    let known_cells = array(map, "map").iter().filter(|cell| cell.as_i64() != Some(-1)).count();
+    assert!(known_cells > 50, "{known_cells}");
+    drop(RunReader::open(&recording).expect("a recording"));
+    let bytes = std::fs::read(&recording).expect("read");
+    for topic in ["/noctule/scan", "/noctule/laser_scan", "/noctule/obstacle", "/noctule/objects", "/noctule/map"] {
+        assert!(count_of(&bytes, topic.as_bytes()) > 0, "{topic} is in the recording");
+    }
+}
+
+/// How often `wanted` stands in `bytes`: the names of channels are not compressed in the summary.
+fn count_of(bytes: &[u8], wanted: &[u8]) -> usize {
+    bytes.windows(wanted.len()).filter(|window| *window == wanted).count()
+}
+
+#[test]
+fn a_robot_without_detectors_publishes_none_and_drives_as_before() {
+    let place = Place::new();
+    let config = place.config_file();
+    let text = std::fs::read_to_string(&config).expect("read") + "[detect]\nenabled = false\n";
+    std::fs::write(&config, text).expect("written");
+    let all = heard(&place, &config, &[]);
+    assert_eq!(all[..3].iter().map(Vec::len).collect::<Vec<_>>(), [0, 0, 0]);
+    assert!(all[3].len() >= 20, "{}", all[3].len());
+}
