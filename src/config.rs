@@ -16,6 +16,7 @@ pub use layouts::LAYOUT_NAMES;
 pub use reference::reference;
 pub use zone::StoppingDistance;
 
+use crate::calibration::{Calibration, CalibrationParams};
 use crate::control::{ControlParams, PlatformLimits};
 use crate::detect::DetectParams;
 use crate::document::{self, DocumentError};
@@ -73,6 +74,8 @@ pub struct Config {
     pub safety: SafetyParams,
     /// Range-based detectors.
     pub detect: DetectParams,
+    /// What was measured of the sensors, and what of it is applied.
+    pub calibration: CalibrationParams,
     /// Directory that relative paths are relative to: that of the file.
     #[serde(skip)]
     pub base_dir: PathBuf,
@@ -99,6 +102,7 @@ impl Default for Config {
             ipc: IpcParams::default(),
             safety: SafetyParams::default(),
             detect: DetectParams::default(),
+            calibration: CalibrationParams::default(),
             base_dir: PathBuf::new(),
         }
     }
@@ -129,6 +133,7 @@ impl Config {
             let joined = config.base_dir.join(&*root);
             *root = std::path::absolute(&joined).unwrap_or(joined);
         }
+        config.read_calibration().map_err(|error| document::refuse(path, text, &error))?;
         config.validate().map_err(|error| document::refuse(path, text, &error))?;
         Ok(config)
     }
@@ -174,9 +179,36 @@ impl Config {
         write::to_toml(self)
     }
 
-    /// Speed of sound, given or from the temperature of the air.
+    /// Reads the file that `[calibration]` names, if it names one.
+    ///
+    /// # Errors
+    /// What is wrong with it, at `calibration.file`.
+    fn read_calibration(&mut self) -> Result<(), ParameterError> {
+        let Some(file) = &self.calibration.file else { return Ok(()) };
+        let path = self.base_dir.join(file);
+        let read = document::load(&path, Calibration::validate).map_err(|error| {
+            let line = error.line.map_or(String::new(), |line| format!(" line {line}"));
+            let found = format!("{}{line}: {}", path.display(), error.summary);
+            ParameterError::new("calibration.file", found, "a file written by noctule calibrate")
+        })?;
+        self.calibration.measured = Some(Arc::new(read));
+        Ok(())
+    }
+
+    /// The same without any calibration applied: what a calibration is measured against.
+    #[must_use]
+    pub fn uncalibrated(&self) -> Self {
+        let mut nominal = self.clone();
+        nominal.calibration.apply.clear();
+        nominal
+    }
+
+    /// Speed of sound: calibrated where that is applied, else given or from the temperature of the air.
     #[must_use]
     pub fn speed_of_sound_m_s(&self) -> f64 {
+        if let Some(measured_m_s) = self.calibration.speed_of_sound_m_s() {
+            return measured_m_s;
+        }
         let from_temperature = || self.air_temperature_c.map(sensor::air::speed_of_sound_m_s);
         self.speed_of_sound_given_m_s.or_else(from_temperature).unwrap_or(SPEED_OF_SOUND_DEFAULT_M_S)
     }
@@ -198,7 +230,7 @@ impl Config {
         Emission::new(&self.emission, rate_hz, &self.base_dir).map_err(|error| error.within("emission"))
     }
 
-    /// The sensors as they stand on the robot, sharing one emission.
+    /// The sensors as they stand on the robot, sharing one emission, with what `[calibration]` applies.
     ///
     /// # Errors
     /// What is wrong with a `[[sensor]]`, its array, or the emission.
@@ -206,7 +238,12 @@ impl Config {
         let emission = Arc::new(self.emission()?);
         let setup = |(index, params): (usize, &SensorParams)| {
             let setup = params.setup(Arc::clone(&emission), &self.base_dir);
-            setup.map_err(|error| error.within(&format!("sensor[{index}]")))
+            let mut setup = setup.map_err(|error| error.within(&format!("sensor[{index}]")))?;
+            if let Some(measured) = self.calibration.measured.as_ref().and_then(|file| file.sensor(&setup.name)) {
+                measured.check_fits(&setup).map_err(|error| error.within("calibration.file"))?;
+                measured.apply(&self.calibration.apply, &mut setup);
+            }
+            Ok(setup)
         };
         self.sensor.iter().enumerate().map(setup).collect()
     }

@@ -23,6 +23,7 @@
 //! | [`signal`] | the nouns: pings, energyscapes, masks, cues, velocities | compute anything |
 //! | [`sensor`] | facts of the hardware: array, emission, mount, dead zones | see data |
 //! | [`imaging`] | raw pings to energyscapes, on the CPU or a GPU | know regions' meaning |
+//! | [`calibration`] | what the direct path tells of air and sensors; its file, its alarms | stop a robot |
 //! | [`flow`] | how echoes move, regions, masks, cues | know how images are made |
 //! | [`control`] | cues to decisions, four layers | do I/O, read a clock, be random |
 //! | [`safety`] | state machines of daemon and controller process | do anything but decide |
@@ -66,6 +67,7 @@
 //! obstacle · every number published can be traced to a ping and a layer.
 #![warn(missing_docs)]
 
+pub mod calibration;
 pub mod cli;
 pub mod cli_controller;
 pub mod config;

@@ -80,7 +80,7 @@ fn time_and_memory_grow_with_the_work_and_never_fall_off_a_cliff() {
 fn every_row_has_its_floor_and_its_memory() {
     let report = json(&bench(&["--json", "--backend", "cpu", "--sensors", "1", "--iterations", "3"]));
     let rows = report["results"].as_array().expect("rows");
-    assert_eq!(rows.len(), 7);
+    assert_eq!(rows.len(), 8);
     assert!(report["machine"]["multiply_adds_per_s"].as_f64() > Some(1e8));
     assert!(report["machine"]["memory_bytes_per_s"].as_f64() > Some(1e8));
     for row in rows {

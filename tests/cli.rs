@@ -284,7 +284,9 @@ fn bench_times_every_stage_for_one_to_three_sensors() {
     let json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     let results = json["results"].as_array().expect("results");
     for sensors in 1..=3 {
-        for stage in ["demodulate", "matched_filter", "delay_and_sum", "envelope", "masked_energy", "image", "total"] {
+        for stage in
+            ["demodulate", "matched_filter", "delay_and_sum", "envelope", "focus", "masked_energy", "image", "total"]
+        {
             let row = results.iter().find(|row| row["sensors"] == sensors && row["stage"] == stage).expect("row");
             assert_eq!(row["backend"], "cpu");
             assert!(row["threads"].is_u64() && row["median_ms"].as_f64().expect("time") >= 0.0);

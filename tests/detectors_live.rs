@@ -1,4 +1,4 @@
-//! Contract: the running daemon publishes scan, obstacle and objects of the ping sets that it images, and records them as they were
+//! Contract: the running daemon publishes scan, obstacle, objects and ego-motion of the ping sets that it images, and records them as they were
 //! published; told not to, it publishes none, and everything else as before.
 
 mod ipc_rig;
@@ -12,7 +12,8 @@ use std::fs::File;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-const TOPICS: [&str; 4] = ["noctule/scan", "noctule/obstacle", "noctule/objects", "noctule/command"];
+const TOPICS: [&str; 5] =
+    ["noctule/scan", "noctule/obstacle", "noctule/objects", "noctule/ego_motion", "noctule/command"];
 
 fn noctule(config: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::cargo_bin("noctule").expect("built");
@@ -57,14 +58,14 @@ fn detections_of_every_ping_set_are_published_and_recorded() {
     let config = place.config_file();
     let recording = place.directory.path().join("run.mcap");
     let all = heard(&place, &config, &["--record", recording.to_str().expect("UTF-8")]);
-    let [scans, obstacles, objects, commands] = all.as_slice() else { panic!("{}", all.len()) };
+    let [scans, obstacles, objects, motions, commands] = all.as_slice() else { panic!("{}", all.len()) };
     // Three seconds are thirty ping sets; the first of them are taken by the self-test.
     for (topic, samples) in TOPICS.iter().zip(&all) {
         assert!(samples.len() >= 20, "{topic}: {}", samples.len());
     }
     let commanded = times(commands);
     let known = |samples: &[Value]| times(samples).iter().filter(|time| commanded.contains(time)).count();
-    for samples in [scans, obstacles, objects] {
+    for samples in [scans, obstacles, objects, motions] {
         // A listener may miss what was published while it was being started.
         assert!(known(samples) + 3 >= samples.len(), "of emissions that were commanded from");
     }
@@ -83,9 +84,24 @@ fn detections_of_every_ping_set_are_published_and_recorded() {
     assert_eq!((&map["frame"], array(map, "map").len()), (&"odometry".into(), 64 * 64));
     let known_cells = array(map, "map").iter().filter(|cell| cell.as_i64() != Some(-1)).count();
     assert!(known_cells > 50, "{known_cells}");
+    // A robot that starts is heard to move as its wheels say.
+    let both = |motion: &&Value| motion["linear_observed"] == 1 && motion["odometry_linear_m_s"].is_f64();
+    let off_m_s = |motion: &Value| {
+        motion["linear_m_s"].as_f64().expect("V") - motion["odometry_linear_m_s"].as_f64().expect("odometry")
+    };
+    let near = motions.iter().filter(both).filter(|motion| off_m_s(motion).abs() < 0.05).count();
+    assert!(near * 10 >= motions.iter().filter(both).count() * 8 && near >= 15, "{near} of {}", motions.len());
+    assert!(motions.iter().all(|motion| motion["slip"] == 0), "nothing slips");
     drop(RunReader::open(&recording).expect("a recording"));
     let bytes = std::fs::read(&recording).expect("read");
-    for topic in ["/noctule/scan", "/noctule/laser_scan", "/noctule/obstacle", "/noctule/objects", "/noctule/map"] {
+    for topic in [
+        "/noctule/scan",
+        "/noctule/laser_scan",
+        "/noctule/obstacle",
+        "/noctule/objects",
+        "/noctule/map",
+        "/noctule/ego_motion",
+    ] {
         assert!(count_of(&bytes, topic.as_bytes()) > 0, "{topic} is in the recording");
     }
 }
@@ -102,6 +118,6 @@ fn a_robot_without_detectors_publishes_none_and_drives_as_before() {
     let text = std::fs::read_to_string(&config).expect("read") + "[detect]\nenabled = false\n";
     std::fs::write(&config, text).expect("written");
     let all = heard(&place, &config, &[]);
-    assert_eq!(all[..3].iter().map(Vec::len).collect::<Vec<_>>(), [0, 0, 0]);
-    assert!(all[3].len() >= 20, "{}", all[3].len());
+    assert_eq!(all[..4].iter().map(Vec::len).collect::<Vec<_>>(), [0, 0, 0, 0]);
+    assert!(all[4].len() >= 20, "{}", all[4].len());
 }

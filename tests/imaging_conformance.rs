@@ -3,11 +3,12 @@
 
 mod common;
 
+use common::backends::{backends, bearings, cpu, image_with_gains, pcm, range};
 use common::oracle::{self, Fault};
 use common::scenes::{Case, Sweep, ping_set, random_array, random_masks};
 use common::{Random, relative_l2, relative_l2_complex};
-use noctule::imaging::backend::{Backend, BackendError, Image, Stage, StageOutput};
-use noctule::imaging::cpu::{CpuBackend, InstructionSet};
+use noctule::imaging::backend::{BackendError, Image, Stage, StageOutput};
+use noctule::imaging::cpu::InstructionSet;
 use noctule::imaging::params::{ImagingParams, Weighting};
 use noctule::imaging::plan::ImagingPlan;
 use noctule::sensor::RecordingFormat;
@@ -22,50 +23,11 @@ const BOUND: f64 = 1e-5;
 /// Measured at most 5.5e-6, of samples that are small against the bits they are summed from.
 const DEMODULATED_BOUND: f64 = 1e-5;
 
-type Opener = Box<dyn Fn(Arc<ImagingPlan>, Arc<MaskTable>) -> Box<dyn Backend>>;
-
-fn cpu(threads: usize, set: InstructionSet) -> Opener {
-    Box::new(move |plan, masks| Box::new(CpuBackend::open_with(plan, masks, Some(threads), set).unwrap()))
-}
-
-/// Every backend that the suite runs on, by name.
-fn backends() -> Vec<(String, Opener)> {
-    // A second run for the sake of one adapter has no need of the CPU again.
-    let gpu_only = std::env::var_os("NOCTULE_REQUIRE_ADAPTER").is_some();
-    let sets = InstructionSet::ALL.into_iter().filter(|set| set.is_available() && !gpu_only);
-    #[allow(unused_mut, reason = "the GPU is a feature")]
-    let mut backends: Vec<_> = sets.map(|set| (format!("cpu {}", set.as_str()), cpu(2, set))).collect();
-    #[cfg(feature = "gpu")]
-    if common::gpu::gpu() {
-        backends.push(("gpu".to_owned(), Box::new(gpu)));
-    }
-    backends
-}
-
-/// Any adapter, and time enough on a busy machine.
-#[cfg(feature = "gpu")]
-fn gpu(plan: Arc<ImagingPlan>, masks: Arc<MaskTable>) -> Box<dyn Backend> {
-    Box::new(noctule::imaging::gpu::GpuBackend::open(plan, masks, true, 8000).unwrap())
-}
-
 fn grid_3d() -> Vec<Direction> {
     let rows = [-0.4, 0.0, 0.5];
     let row =
         |elevation_rad: f64| (0..7).map(move |i| Direction { azimuth_rad: -1.2 + 0.4 * f64::from(i), elevation_rad });
     rows.into_iter().flat_map(row).collect()
-}
-
-fn bearings(count: usize) -> Vec<Direction> {
-    let step = 170.0 / (count.max(2) - 1) as f64;
-    (0..count).map(|i| Direction::horizontal((-85.0 + step * i as f64).to_radians())).collect()
-}
-
-fn pcm(sample_rate_hz: f64, samples: usize) -> RecordingFormat {
-    RecordingFormat { format: SampleFormat::PcmF32, sample_rate_hz, samples, decimation: 1 }
-}
-
-fn range(range_min_m: f64, range_max_m: f64, range_step_m: Option<f64>) -> ImagingParams {
-    ImagingParams { range_min_m, range_max_m, range_step_m, ..ImagingParams::default() }
 }
 
 /// The scenes: the three formats at default sizes, then everything that could be taken for granted, otherwise.
@@ -128,19 +90,6 @@ fn cases() -> Vec<Case> {
     case.params = range(0.0, 2.2, None);
     cases.push(case);
     cases
-}
-
-/// An image whose channels have equal gains but for those of `left_out`.
-fn image_with_gains(plan: &ImagingPlan, masks: &MaskTable, left_out: &[usize]) -> Image {
-    let mut image = Image::empty(plan, masks);
-    for report in &mut image.channels {
-        let count = report.gains.len();
-        let used = (0..count).filter(|channel| !left_out.contains(channel)).count();
-        for (channel, gain) in report.gains.iter_mut().enumerate() {
-            *gain = if left_out.contains(&channel) || used == 0 { 0.0 } else { 1.0 / used as f32 };
-        }
-    }
-    image
 }
 
 /// Directions compared: all of a small grid.
@@ -269,10 +218,10 @@ fn every_stage_equals_the_textbook() {
             println!("{name}: {}: delay_and_sum {error:.2e}", case.name);
             assert!(error < BOUND, "{name}: {}: delay_and_sum {error:e}", case.name);
 
-            let alone = real(up_to(Stage::Envelope));
+            let alone = real(up_to(Stage::Focus));
             let StageOutput::Sums(sums) = up_to(Stage::MaskedEnergy) else { panic!("sums") };
             open(Arc::clone(&plan), Arc::clone(&masks)).image(&pings, &mut image).unwrap();
-            assert_eq!(alone, image.energyscapes[sensor].values, "{name}: {}: envelope", case.name);
+            assert_eq!(alone, image.energyscapes[sensor].values, "{name}: {}: focus", case.name);
             for (row, sums) in sums.iter().enumerate() {
                 let expected = if masks.rows[row].sensor_index == sensor { image.sums[row] } else { RowSums::SILENT };
                 assert_eq!(*sums, expected, "{name}: {}: masked_energy, row {row}", case.name);
@@ -303,6 +252,8 @@ fn planted_faults_turn_the_comparison_red() {
             Fault::LostMirror(1),
             Fault::RangeOffset,
             Fault::NoQuadrature,
+            Fault::NoEmitter,
+            Fault::PlaneWave,
         ] {
             let error = error(fault);
             println!("{name}: {fault:?}: {error:.2e}");

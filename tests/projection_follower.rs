@@ -1,36 +1,13 @@
 //! Contract: the follower of a planned path drives it, stops at what is in the way, goes round it where there is room, waits where there
 //! is none, tells when it is blind or cannot see, and allocates nothing. The robot here is a point with a heading, its scans are plain geometry.
 
+mod counting;
+
+use counting::allocations_of;
 use nalgebra::Vector2;
 use noctule::detect::{Detector, FollowerState, ObstacleReport, PathFollower, ProjectionParams};
 use noctule::geometry::Pose2;
 use noctule::signal::{Peak, Ray, Reading, RobotScan};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-thread_local! {
-    static COUNTED: Cell<Option<u64>> = const { Cell::new(None) };
-}
-
-/// Counts the allocations of the thread that asked for it.
-struct Counting;
-
-// SAFETY: every call goes unchanged to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let _ = COUNTED.try_with(|counted| counted.set(counted.get().map(|count| count + 1)));
-        // SAFETY: as above.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as above.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 const PERIOD_S: f64 = 0.1;
 
@@ -96,9 +73,7 @@ impl Drive {
     /// One scan and a tenth of a second of what is wished, counting allocations.
     fn step(&mut self) -> (ObstacleReport, u64) {
         self.scene.hear(&self.pose, &mut self.scan);
-        COUNTED.set(Some(0));
-        let report = self.follower.update(&self.scan, &self.pose, self.now_s);
-        let allocations = COUNTED.replace(None).unwrap_or(0);
+        let (report, allocations) = allocations_of(|| self.follower.update(&self.scan, &self.pose, self.now_s));
         self.pose.heading_rad += report.wish.angular_rad_s * PERIOD_S;
         self.pose.x_m += report.wish.linear_m_s * PERIOD_S * self.pose.heading_rad.cos();
         self.pose.y_m += report.wish.linear_m_s * PERIOD_S * self.pose.heading_rad.sin();

@@ -12,6 +12,7 @@ use noctule::io::wire::detections::{Objects, Obstacle, Scan};
 use noctule::io::wire::message::{
     EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput,
 };
+use noctule::io::wire::motion::EgoMotion;
 use noctule::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use noctule::io::wire::{Field, WireType};
 use noctule::signal::SampleFormat;
@@ -267,7 +268,7 @@ fn another_version_of_the_wheel_is_named_as_the_cause() {
 /// Type name, size, alignment, schema hash and fields as Rust has them.
 type RustLayout = (&'static str, usize, usize, u64, &'static [Field]);
 
-fn rust_layouts() -> [RustLayout; 12] {
+fn rust_layouts() -> [RustLayout; 13] {
     fn of<T: WireType>() -> RustLayout {
         (T::TYPE_NAME, size_of::<T>(), align_of::<T>(), T::SCHEMA_HASH, T::FIELDS)
     }
@@ -283,6 +284,7 @@ fn rust_layouts() -> [RustLayout; 12] {
         of::<Scan>(),
         of::<Obstacle>(),
         of::<Objects>(),
+        of::<EgoMotion>(),
         of::<Health>(),
     ]
 }

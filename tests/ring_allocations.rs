@@ -1,36 +1,13 @@
 //! Contract: once it runs, the ring detector allocates nothing, whatever it hears: crowds, nothing, jumps of odometry, values
 //! that are no numbers. It runs inside the daemon, beside the control path.
 
+mod counting;
+
+use counting::allocations_of;
 use nalgebra::Vector2;
 use noctule::detect::{RingDetector, RingParams};
 use noctule::geometry::Pose2;
 use noctule::signal::{PEAKS_MAX, Peak, Ray, Reading, RobotScan};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-thread_local! {
-    static COUNTED: Cell<Option<u64>> = const { Cell::new(None) };
-}
-
-/// Counts the allocations of the thread that asked for it.
-struct Counting;
-
-// SAFETY: every call goes unchanged to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let _ = COUNTED.try_with(|counted| counted.set(counted.get().map(|count| count + 1)));
-        // SAFETY: as above.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as above.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// A scan full of reflectors, other ones every time.
 fn crowd(turn: usize) -> RobotScan {
@@ -61,25 +38,23 @@ fn the_detector_allocates_nothing_after_it_was_made() {
     let mut detector = RingDetector::new(&params);
     let scans: Vec<RobotScan> = (0..30).map(crowd).collect();
     let nothing = RobotScan::unseen();
-    COUNTED.set(Some(0));
     let mut most = 0;
-    for (turn, scan) in scans.iter().enumerate() {
-        let pose = Pose2 { x_m: 0.05 * turn as f64, y_m: 0.0, heading_rad: 0.1 * turn as f64 };
-        most = most.max(detector.update(scan, &pose).object_count);
-        if turn % 9 == 8 {
-            detector.update(&nothing, &Pose2 { x_m: 40.0, ..pose });
-            detector.update(&nothing, &Pose2 { x_m: f64::NAN, ..pose });
+    let ((), counted) = allocations_of(|| {
+        for (turn, scan) in scans.iter().enumerate() {
+            let pose = Pose2 { x_m: 0.05 * turn as f64, y_m: 0.0, heading_rad: 0.1 * turn as f64 };
+            most = most.max(detector.update(scan, &pose).object_count);
+            if turn % 9 == 8 {
+                detector.update(&nothing, &Pose2 { x_m: 40.0, ..pose });
+                detector.update(&nothing, &Pose2 { x_m: f64::NAN, ..pose });
+            }
         }
-    }
-    let counted = COUNTED.replace(None).expect("set above");
+    });
     assert_eq!(counted, 0, "allocations");
     assert_eq!(most, 32, "the crowd fills every place");
 }
 
 #[test]
 fn the_counter_sees_an_allocation() {
-    COUNTED.set(Some(0));
-    let held = Vec::<u8>::with_capacity(100);
-    let counted = COUNTED.replace(None).expect("set above");
+    let (held, counted) = allocations_of(|| Vec::<u8>::with_capacity(100));
     assert!(counted == 1 && held.capacity() >= 100);
 }

@@ -5,13 +5,14 @@ use noctule::io::wire::detections::{Objects, Obstacle, Scan};
 use noctule::io::wire::message::{
     EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput,
 };
+use noctule::io::wire::motion::EgoMotion;
 use noctule::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use noctule::io::wire::{Field, WireType};
 use std::fmt::Write as _;
 use tempfile::TempDir;
 
 /// Written by hand: type name, size, and every field as `type name[count]` in the order in which it lies.
-const GOLDEN: [(&str, usize, &str); 12] = [
+const GOLDEN: [(&str, usize, &str); 13] = [
     (
         "noctule.RawHeader.v1",
         64,
@@ -68,9 +69,14 @@ const GOLDEN: [(&str, usize, &str); 12] = [
         "u64 schema_hash; u64 sequence; u64 t_monotonic_ns; u64 t_wall_ns; u64 t_completed_ns; f64 robot_x_m; f64 robot_y_m; f64 robot_heading_rad; f64 reading_m[12]; f64 x_m[32]; f64 y_m[32]; f64 variance_x_m2[32]; f64 covariance_xy_m2[32]; f64 variance_y_m2[32]; f64 map_x_m; f64 map_y_m; f64 cell_m; f32 score[32]; u32 pair[32]; u32 object_count; u32 frame; i16 map[4096]",
     ),
     (
+        "noctule.EgoMotion.v1",
+        776,
+        "u64 schema_hash; u64 sequence; u64 t_monotonic_ns; u64 t_wall_ns; u64 t_completed_ns; f64 interval_s; f64 linear_m_s; f64 angular_rad_s; f64 variance_linear_m2_s2; f64 covariance_m_rad_s2; f64 variance_angular_rad2_s2; f64 odometry_linear_m_s; f64 odometry_angular_rad_s; f64 innovation; f64 mover_x_m[8]; f64 mover_y_m[8]; f64 mover_x_m_s[8]; f64 mover_y_m_s[8]; f64 mover_variance_x_m2_s2[8]; f64 mover_covariance_xy_m2_s2[8]; f64 mover_variance_y_m2_s2[8]; f64 mover_radius_m[8]; f64 mover_contact_s[8]; u32 mover_id[8]; u32 mover_age[8]; u32 mover_count; u32 matched_count; u32 inlier_count; u32 linear_observed; u32 angular_observed; u32 slip",
+    ),
+    (
         "noctule.Health.v1",
-        304,
-        "u64 schema_hash; u64 epoch; u64 t_monotonic_ns; u64 t_wall_ns; u64 ping_set_count; u64 command_count; u64 dropped_count; u64 late_count; u64 gpu_loss_count; u64 stop_count; u64 rejected_count[3]; u64 gap_count[3]; u64 desync_ns; f64 latency_ms; f64 latency_p50_ms; f64 latency_p99_ms; f64 latency_max_ms; f64 stage_ms[5]; u32 bad_channel_count[3]; u32 sensors_present; u32 state; u32 reason; u32 backend; u32 recording; u8 adapter[64]",
+        368,
+        "u64 schema_hash; u64 epoch; u64 t_monotonic_ns; u64 t_wall_ns; u64 ping_set_count; u64 command_count; u64 dropped_count; u64 late_count; u64 gpu_loss_count; u64 stop_count; u64 rejected_count[3]; u64 gap_count[3]; u64 desync_ns; f64 latency_ms; f64 latency_p50_ms; f64 latency_p99_ms; f64 latency_max_ms; f64 stage_ms[5]; u32 bad_channel_count[3]; u32 sensors_present; u32 state; u32 reason; u32 backend; u32 recording; u8 adapter[64]; f64 heard_speed_m_s[3]; f64 heard_speed_sd_m_s[3]; u32 drift[3]; u32 drift_looks",
     ),
 ];
 
@@ -91,6 +97,7 @@ fn actual() -> Vec<(&'static str, usize, usize, &'static [Field])> {
         of::<Scan>(),
         of::<Obstacle>(),
         of::<Objects>(),
+        of::<EgoMotion>(),
         of::<Health>(),
     ]
 }

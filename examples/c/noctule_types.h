@@ -71,6 +71,74 @@ NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, wall_threshold_corridor) == 444,
 NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, wall_count) == 448, "noctule.Cues.v1.wall_count");
 NOCTULE_ASSERT(offsetof(struct noctule_cues_v1, sensors_used) == 452, "noctule.Cues.v1.sensors_used");
 
+#define NOCTULE_EGO_MOTION_V1_TYPE_NAME "noctule.EgoMotion.v1"
+#define NOCTULE_EGO_MOTION_V1_SCHEMA_HASH UINT64_C(0x6d09862921132e0c)
+struct noctule_ego_motion_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* Sequence of the newer ping set. */
+    uint64_t t_monotonic_ns; /* Its oldest emission, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    uint64_t t_completed_ns; /* When it was complete, CLOCK_BOOTTIME. */
+    double interval_s; /* Time since the ping set before; the velocities are means over it. 0 where there was none. */
+    double linear_m_s; /* Forward speed by the echoes. */
+    double angular_rad_s; /* Turn rate by the echoes. */
+    double variance_linear_m2_s2; /* Variance of the speed: as wide as the platform is fast where the echoes do not tell. */
+    double covariance_m_rad_s2; /* Covariance of speed and turn rate. */
+    double variance_angular_rad2_s2; /* Variance of the turn rate. */
+    double odometry_linear_m_s; /* Forward speed by odometry over the same interval; NaN without odometry. */
+    double odometry_angular_rad_s; /* Turn rate by odometry; NaN without odometry. */
+    double innovation; /* Squared distance of the two in standard deviations, two degrees of freedom. */
+    double mover_x_m[8]; /* Movers, the soonest contact first: middle in the robot frame, forward. */
+    double mover_y_m[8]; /* To the left. */
+    double mover_x_m_s[8]; /* Velocity over ground along the robot's axes, forward. */
+    double mover_y_m_s[8]; /* To the left. */
+    double mover_variance_x_m2_s2[8]; /* Variance of that velocity, forward. */
+    double mover_covariance_xy_m2_s2[8]; /* Covariance of its two parts. */
+    double mover_variance_y_m2_s2[8]; /* Variance to the left. */
+    double mover_radius_m[8]; /* Radius that each is taken to have. */
+    double mover_contact_s[8]; /* Time until it touches the footprint if both go on straight; +inf if they miss each other. */
+    uint32_t mover_id[8]; /* Number of its track; stays while it is followed. */
+    uint32_t mover_age[8]; /* Ping sets since it was first heard. */
+    uint32_t mover_count; /* Number of movers. */
+    uint32_t matched_count; /* Reflectors that were heard in both ping sets. */
+    uint32_t inlier_count; /* Of these, those that agree with the velocity. */
+    uint32_t linear_observed; /* Whether the speed is known better than 0.05 m/s. */
+    uint32_t angular_observed; /* Whether the turn rate is known better than 0.1 rad/s. */
+    uint32_t slip; /* Whether odometry has contradicted the echoes for several ping sets: wheels slip, or the robot is pushed. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_ego_motion_v1) == 776, "size of noctule.EgoMotion.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, schema_hash) == 0, "noctule.EgoMotion.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, sequence) == 8, "noctule.EgoMotion.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, t_monotonic_ns) == 16, "noctule.EgoMotion.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, t_wall_ns) == 24, "noctule.EgoMotion.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, t_completed_ns) == 32, "noctule.EgoMotion.v1.t_completed_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, interval_s) == 40, "noctule.EgoMotion.v1.interval_s");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, linear_m_s) == 48, "noctule.EgoMotion.v1.linear_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, angular_rad_s) == 56, "noctule.EgoMotion.v1.angular_rad_s");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, variance_linear_m2_s2) == 64, "noctule.EgoMotion.v1.variance_linear_m2_s2");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, covariance_m_rad_s2) == 72, "noctule.EgoMotion.v1.covariance_m_rad_s2");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, variance_angular_rad2_s2) == 80, "noctule.EgoMotion.v1.variance_angular_rad2_s2");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, odometry_linear_m_s) == 88, "noctule.EgoMotion.v1.odometry_linear_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, odometry_angular_rad_s) == 96, "noctule.EgoMotion.v1.odometry_angular_rad_s");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, innovation) == 104, "noctule.EgoMotion.v1.innovation");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_x_m) == 112, "noctule.EgoMotion.v1.mover_x_m");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_y_m) == 176, "noctule.EgoMotion.v1.mover_y_m");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_x_m_s) == 240, "noctule.EgoMotion.v1.mover_x_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_y_m_s) == 304, "noctule.EgoMotion.v1.mover_y_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_variance_x_m2_s2) == 368, "noctule.EgoMotion.v1.mover_variance_x_m2_s2");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_covariance_xy_m2_s2) == 432, "noctule.EgoMotion.v1.mover_covariance_xy_m2_s2");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_variance_y_m2_s2) == 496, "noctule.EgoMotion.v1.mover_variance_y_m2_s2");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_radius_m) == 560, "noctule.EgoMotion.v1.mover_radius_m");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_contact_s) == 624, "noctule.EgoMotion.v1.mover_contact_s");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_id) == 688, "noctule.EgoMotion.v1.mover_id");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_age) == 720, "noctule.EgoMotion.v1.mover_age");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, mover_count) == 752, "noctule.EgoMotion.v1.mover_count");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, matched_count) == 756, "noctule.EgoMotion.v1.matched_count");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, inlier_count) == 760, "noctule.EgoMotion.v1.inlier_count");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, linear_observed) == 764, "noctule.EgoMotion.v1.linear_observed");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, angular_observed) == 768, "noctule.EgoMotion.v1.angular_observed");
+NOCTULE_ASSERT(offsetof(struct noctule_ego_motion_v1, slip) == 772, "noctule.EgoMotion.v1.slip");
+
 #define NOCTULE_ENERGYSCAPE_HEADER_V1_TYPE_NAME "noctule.EnergyscapeHeader.v1"
 #define NOCTULE_ENERGYSCAPE_HEADER_V1_SCHEMA_HASH UINT64_C(0x3cbba540b4fee0ab)
 struct noctule_energyscape_header_v1 {
@@ -110,7 +178,7 @@ NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, backend) == 96, "n
 NOCTULE_ASSERT(offsetof(struct noctule_energyscape_header_v1, flags) == 100, "noctule.EnergyscapeHeader.v1.flags");
 
 #define NOCTULE_HEALTH_V1_TYPE_NAME "noctule.Health.v1"
-#define NOCTULE_HEALTH_V1_SCHEMA_HASH UINT64_C(0x33375f6bb8212b7f)
+#define NOCTULE_HEALTH_V1_SCHEMA_HASH UINT64_C(0xebf6fb7287bcce37)
 struct noctule_health_v1 {
     uint64_t schema_hash; /* Layout of the writer. */
     uint64_t epoch; /* Random number of this start of the daemon: what an arm request carries. */
@@ -129,7 +197,7 @@ struct noctule_health_v1 {
     double latency_p50_ms; /* Median of it since the start. */
     double latency_p99_ms; /* 99th percentile of it since the start. */
     double latency_max_ms; /* Largest since the start. */
-    double stage_ms[5]; /* Newest set: demodulate, matched filter, delay and sum, envelope, masked energy. */
+    double stage_ms[5]; /* Newest set: demodulate, matched filter, delay and sum, envelope with focus, masked energy. */
     uint32_t bad_channel_count[3]; /* Channels left out, by sensor. */
     uint32_t sensors_present; /* Bit k is set when sensor k delivered in the newest set. */
     uint32_t state; /* State of the daemon. */
@@ -137,8 +205,12 @@ struct noctule_health_v1 {
     uint32_t backend; /* 0 CPU, 1 GPU. */
     uint32_t recording; /* Recording of the run: 0 off, 1 recording, 2 finished, 3 disk full, 4 disk failed. */
     uint8_t adapter[64]; /* Adapter or instruction set that images, UTF-8, filled up with zeros. */
+    double heard_speed_m_s[3]; /* Speed of sound that each sensor's direct path tells; 0 while it is not known. */
+    double heard_speed_sd_m_s[3]; /* Standard deviation of its change since the calibration or the start. */
+    uint32_t drift[3]; /* What has drifted, by sensor: 1 speed of sound, 2 microphone moved, 4 gain, 8 emitter weaker, 16 emitter moved. */
+    uint32_t drift_looks; /* Looks for drift so far, the fewest of any sensor. */
 };
-NOCTULE_ASSERT(sizeof(struct noctule_health_v1) == 304, "size of noctule.Health.v1");
+NOCTULE_ASSERT(sizeof(struct noctule_health_v1) == 368, "size of noctule.Health.v1");
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, schema_hash) == 0, "noctule.Health.v1.schema_hash");
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, epoch) == 8, "noctule.Health.v1.epoch");
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, t_monotonic_ns) == 16, "noctule.Health.v1.t_monotonic_ns");
@@ -164,6 +236,10 @@ NOCTULE_ASSERT(offsetof(struct noctule_health_v1, reason) == 228, "noctule.Healt
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, backend) == 232, "noctule.Health.v1.backend");
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, recording) == 236, "noctule.Health.v1.recording");
 NOCTULE_ASSERT(offsetof(struct noctule_health_v1, adapter) == 240, "noctule.Health.v1.adapter");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, heard_speed_m_s) == 304, "noctule.Health.v1.heard_speed_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, heard_speed_sd_m_s) == 328, "noctule.Health.v1.heard_speed_sd_m_s");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, drift) == 352, "noctule.Health.v1.drift");
+NOCTULE_ASSERT(offsetof(struct noctule_health_v1, drift_looks) == 364, "noctule.Health.v1.drift_looks");
 
 #define NOCTULE_OBJECTS_V1_TYPE_NAME "noctule.Objects.v1"
 #define NOCTULE_OBJECTS_V1_SCHEMA_HASH UINT64_C(0xb0aae93d6e2cfb94)

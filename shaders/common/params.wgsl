@@ -2,7 +2,7 @@
 // one at a time where a buffer would grow too large) and of a tile (the directions whose spectra stand in memory together: all, or
 // a part), and what changes with every ping set. A dispatch is given the block of its bank and tile.
 //
-// Twin: `src/imaging/gpu/params.rs`, field by field (held together by tests/shader_layout.rs). All words are u32 (one f32), so
+// Twin: `src/imaging/gpu/params.rs`, field by field (held together by tests/shader_layout.rs). All words are u32 or f32, so
 // that WGSL, Rust and every backend agree on the layout without padding. Written once at open, the last four words a ping set.
 
 struct Params {
@@ -62,6 +62,17 @@ struct Params {
     slot_first: u32,
     row_base: u32,
     row_step: u32,
+    // Focus: ranges that are focused, place of the first bin in the transform of a channel signal, samples before range
+    // 0 and of all of a row; directions of the grid; then samples, and turns of the centre frequency, a metre of path.
+    focus_count: u32,
+    focus_first_bin: u32,
+    focus_lead: u32,
+    focus_row_len: u32,
+    direction_count: u32,
+    // Gains of all channels, behind which the scales of the sensors stand.
+    gain_count: u32,
+    focus_samples_per_m: f32,
+    focus_turns_per_m: f32,
     // Bit s is set where sensor s delivered.
     present: u32,
     // Sequence of the ping set, low and high word, and the epoch of this device.

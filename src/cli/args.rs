@@ -1,22 +1,28 @@
 //! The command line as it may be typed (specification, section 11).
 
+mod calibrate;
 mod detect;
 mod diagnosis;
 mod files;
+mod motion;
 mod record;
 mod scenes;
+mod series;
 mod simulate;
 #[cfg(feature = "view")]
 mod view;
 
+pub use calibrate::CalibrateArguments;
 pub use detect::{CorridorsArguments, DetectAction, DetectArguments, EdgesArguments};
 pub use diagnosis::{
     CheckArguments, CompletionsArguments, ConfigAction, ConfigArguments, DoctorArguments, EchoArguments,
     ImportArguments, ManArguments, StatusArguments, TopicsArguments,
 };
 pub use files::{ExportFormat, PlotArguments, ProcessArguments};
+pub use motion::MotionArguments;
 pub use record::{RecordArguments, RecordingArguments, ReplayArguments};
 pub use scenes::ScenesArguments;
+pub use series::SeriesArguments;
 pub use simulate::{ConditionArguments, SimulateArguments};
 #[cfg(feature = "view")]
 pub use view::{DEFAULT_LISTEN, ViewArguments};
@@ -88,6 +94,8 @@ pub enum Command {
     Replay(ReplayArguments),
     /// Image recordings into NumPy files.
     Process(ProcessArguments),
+    /// Measure the air, the emitter and the microphones from the direct path of recordings.
+    Calibrate(CalibrateArguments),
     /// Drive simulated robots through a world and score them; rank sensor layouts.
     Simulate(SimulateArguments),
     /// Drive a simulated robot while something goes wrong every minute; score how it stops, stands and goes on.
@@ -273,6 +281,7 @@ pub struct MasksArguments {
 #[command(after_help = "Examples:
   noctule bench                                  every stage, CPU and GPU side by side, beside the counted floor
   noctule bench --latency --busy                 last sample to command, idle and with all cores at work
+  noctule bench --beamformers --plot sharp.png   what each beamformer makes of the same scenes, and what it costs
   noctule bench --scaling --plot scaling.png     time and memory against microphones, directions, sensors, samples")]
 pub struct BenchArguments {
     #[command(flatten)]
@@ -304,8 +313,11 @@ pub struct BenchArguments {
     /// Measure time and memory against microphones, directions, sensors and samples instead; CPU unless told otherwise.
     #[arg(long, conflicts_with_all = ["latency", "config"])]
     pub scaling: bool,
-    /// Draw what --scaling measured.
-    #[arg(long, value_name = "F.png", requires = "scaling")]
+    /// Compare the beamformers on the same scenes instead: width of the main lobe, side lobes, weakest echo still seen, time.
+    #[arg(long, conflicts_with_all = ["latency", "scaling"])]
+    pub beamformers: bool,
+    /// Draw what --scaling measured, or the images of --beamformers.
+    #[arg(long, value_name = "F.png", conflicts_with = "latency")]
     pub plot: Option<PathBuf>,
     /// Measure one configuration in this process; for the command's own use.
     #[arg(long, hide = true, requires_all = ["sensors", "backend"])]

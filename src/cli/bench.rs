@@ -1,6 +1,7 @@
 //! `noctule bench`: every stage and the whole ping set, one to three sensors, each backend, on simulated pings, beside the counted
-//! floor; with `--latency` the way from last sample to command, with `--scaling` time against sizes.
+//! floor; with `--beamformers` what each beamformer makes of the same scenes, with `--latency` the way from last sample to command, with `--scaling` time against sizes.
 
+mod beamformers;
 mod hop;
 mod latency;
 mod machine;
@@ -18,6 +19,7 @@ pub use scaling::Case;
 
 use super::args::{BackendArgument, BenchArguments};
 use super::output::print_line;
+use super::series::cores;
 use super::{Failure, exit};
 use crate::config::Config;
 use crate::imaging::params::Prefer;
@@ -41,9 +43,18 @@ pub fn bench(arguments: &BenchArguments) -> Result<(), Failure> {
     if let Some(case) = arguments.scaling_row {
         return scaling::row(case, arguments);
     }
+    if arguments.plot.is_some() && !(arguments.scaling || arguments.beamformers) {
+        return Err(Failure::new(
+            exit::USAGE,
+            "--plot: found without --scaling or --beamformers, one of which it draws",
+        ));
+    }
     let config = super::config::load(&arguments.choice)?;
     if arguments.scaling {
         return scaling::scaling(&config, arguments);
+    }
+    if arguments.beamformers {
+        return beamformers::beamformers(&config, arguments);
     }
     if arguments.latency {
         return latency::latency(&config, arguments);
@@ -110,7 +121,7 @@ fn measure_all(config: &Config, arguments: &BenchArguments) -> Result<Vec<stages
 /// What the figures were measured on.
 fn machine(config: &Config) -> Value {
     json!({
-        "cores": std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+        "cores": cores(),
         "architecture": std::env::consts::ARCH,
         "os": std::env::consts::OS,
         "noctule_version": env!("CARGO_PKG_VERSION"),

@@ -94,10 +94,32 @@ fn check_config(config: &Config) -> Result<Report, Failure> {
         "hidden": setup.hidden,
         "mask_rows": masks.table().rows.len(),
         "mask_cells": masks.table().cells.len(),
+        "calibration": calibration_facts(config),
         "ipc_root": config.ipc.root_path().display().to_string(),
         "ipc_prefix": config.ipc.prefix,
     });
     Ok(Report { facts, findings })
+}
+
+/// What of a calibration is in force; null without one.
+fn calibration_facts(config: &Config) -> Value {
+    let Some(measured) = &config.calibration.measured else { return Value::Null };
+    let sensors: Vec<Value> = measured
+        .sensor
+        .iter()
+        .map(|sensor| {
+            json!({
+                "name": sensor.name,
+                "pings": sensor.pings,
+                "air_temperature_c": sensor.air_temperature_c,
+                "air_temperature_sd_c": sensor.air_temperature_sd_c,
+                "emitter_m": sensor.emitter_m,
+                "misplaced": sensor.misplaced,
+                "unheard": sensor.unheard,
+            })
+        })
+        .collect();
+    json!({"recorded": measured.recorded, "applied": config.calibration.apply, "sensors": sensors})
 }
 
 fn check_recording(path: &Path, choice: &ConfigChoice) -> Result<Report, Failure> {

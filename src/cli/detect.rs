@@ -1,8 +1,9 @@
 //! `noctule detect`: the range-based detectors at work: on readings that somebody else took, JSON in, JSON out; on worlds ([`edges`]); in
-//! simulated corridors ([`corridors`]) and on simulated maps ([`scenes`]).
+//! simulated corridors ([`corridors`]), on simulated maps ([`scenes`]) and drives ([`motion`]).
 
 mod corridors;
 mod edges;
+mod motion;
 mod scenes;
 
 use super::args::{ConfigChoice, DetectAction, DetectArguments};
@@ -64,6 +65,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<(), Failure> {
         DetectAction::Corridors(own) => {
             corridors::corridors(own, &chosen(&ConfigChoice { config: own.config.clone() }))
         }
+        DetectAction::Motion(own) => motion::motion(own, &chosen(&ConfigChoice { config: own.config.clone() })),
         DetectAction::Scenes(own) => scenes::scenes(own, &chosen(&ConfigChoice { config: own.config.clone() })),
     }
 }

@@ -5,6 +5,7 @@
 
 mod args;
 mod bench;
+mod calibrate;
 mod check;
 mod config;
 mod demo;
@@ -19,6 +20,7 @@ mod process;
 mod record;
 mod relay;
 mod run;
+mod series;
 mod simulate;
 mod soak;
 mod status;
@@ -161,6 +163,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Record(arguments) => record::record(&arguments),
         Command::Replay(arguments) => record::replay(&arguments),
         Command::Process(arguments) => process::process(&arguments),
+        Command::Calibrate(arguments) => calibrate::calibrate(&arguments),
         Command::Simulate(arguments) => simulate::simulate(&arguments),
         Command::Soak(arguments) => soak::soak_command(&arguments),
         Command::Masks(arguments) => masks::masks(&arguments),

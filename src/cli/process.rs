@@ -14,6 +14,7 @@ pub use inputs::Shard;
 
 use super::args::ProcessArguments;
 use super::output::{make_folder, progress};
+use super::series::cores;
 use super::{Failure, exit};
 use crate::config::Config;
 use crate::imaging::backend::{BackendError, BackendKind};
@@ -159,7 +160,6 @@ fn image(
     waiting: Vec<Waiting>,
 ) -> Result<Vec<(Target, u8)>, Failure> {
     let chosen = choose(config, sensor_index, prefer(config, arguments))?;
-    let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let jobs = arguments.jobs.map_or_else(cores, |jobs| jobs as usize);
     let imagers = if matches!(chosen, Chosen::Gpu { .. }) { jobs.min(GPU_IMAGERS) } else { jobs };
     let at_once = imagers.min(waiting.len());

@@ -9,10 +9,11 @@ mod report;
 mod sweep;
 mod trajectory;
 
+use super::Failure;
 use super::args::SimulateArguments;
 use super::output::{NewFile, make_folder, print_line, progress, write_picture};
 use super::run::service_failure;
-use super::{Failure, exit};
+use super::series::{check_places, check_seeds, cores};
 use crate::imaging::backend::BackendKind;
 use crate::imaging::params::Prefer;
 use crate::io::plot::{HeatMapOptions, PathsOptions, PlottedRun, heat_map, paths, paths_by_layout};
@@ -20,7 +21,7 @@ use crate::service::plots::plotted_run;
 use crate::service::proving::{Entrant, Programme, Run, Told};
 use crate::sim::{SimParams, World};
 use serde_json::{Value, json};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Runs the command.
@@ -51,25 +52,21 @@ struct Proving<'a> {
 impl<'a> Proving<'a> {
     fn prepare(arguments: &'a SimulateArguments) -> Result<Self, Failure> {
         let world = choice::world(&arguments.world)?;
-        if arguments.seed.checked_add(arguments.runs - 1).is_none() {
-            let message = format!("--seed: found {}, allowed: a seed with room for --runs above it", arguments.seed);
-            return Err(Failure::new(exit::USAGE, message));
-        }
+        check_seeds(arguments.seed, arguments.runs)?;
         let entrants = choice::entrants(arguments)?;
         let acoustics = choice::acoustics(&arguments.conditions)?;
         let asked = arguments.backend.map_or(entrants[0].rig.config().imaging.backend, Into::into);
         let report = entrants[0].rig.backend(asked).map_err(|error| service_failure(&error))?;
         // What was found once need not be looked for again by every run.
         let (prefer, jobs) = match report.kind {
-            BackendKind::Cpu => (Prefer::Cpu, std::thread::available_parallelism().map_or(1, std::num::NonZero::get)),
+            BackendKind::Cpu => (Prefer::Cpu, cores()),
             BackendKind::Gpu => (asked, 1),
         };
         // Long work should not end at a place that cannot be written to.
         let json = JsonPlace::take(arguments.json.as_deref())?;
         arguments.trajectories.as_deref().map_or(Ok(()), make_folder)?;
-        for path in [&arguments.plot, &arguments.paths, &arguments.frames].into_iter().flatten() {
-            drop(NewFile::create(path)?);
-        }
+        let pictures = [&arguments.plot, &arguments.paths, &arguments.frames];
+        check_places(pictures.into_iter().flatten().map(PathBuf::as_path))?;
         let jobs = arguments.jobs.map_or(jobs, usize::from);
         Ok(Self { arguments, world, entrants, acoustics, prefer, jobs, json })
     }

@@ -2,6 +2,7 @@
 //! and nothing that the safe-state contract forbids gets through.
 
 use super::*;
+use crate::imaging::params::Beamformer;
 use crate::signal::SampleFormat;
 use proptest::prelude::*;
 
@@ -39,6 +40,7 @@ fn what_is_written_is_read_again_with_a_comment_on_every_key() {
     full.recording.sample_rate_hz = Some(450e3);
     full.imaging.range_step_m = Some(0.004);
     full.imaging.smoothing_hz = Some(20e3);
+    full.imaging.focus_to_m = Some(0.0);
     full.sensor[1].disabled_mics = vec![3, 4];
     full.obstruction = vec![
         Shape::Circle { centre_m: [0.4, 0.0], radius_m: 0.05 },
@@ -46,8 +48,12 @@ fn what_is_written_is_read_again_with_a_comment_on_every_key() {
     ];
     full.control.flow_following.set_distance_m = Some(0.8);
     full.ipc.root = Some("/run/elsewhere".into());
+    // Products and smoothing exclude each other, so that no one configuration has every key.
+    let mut products = Config::default();
+    products.imaging.beamformer = Beamformer::DelayMultiplyAndSum;
+    products.imaging.multiply_order = Some(3);
     let layouts = LAYOUT_NAMES.iter().map(|name| Config::layout(name).unwrap());
-    for config in [Config::default(), full].into_iter().chain(layouts) {
+    for config in [Config::default(), full, products].into_iter().chain(layouts) {
         let text = config.to_toml();
         assert_eq!(parse(&text).unwrap_or_else(|error| panic!("{error}\n{text}")), config);
         assert_eq!(uncommented("", &toml::from_str(&text).unwrap()), Vec::<String>::new(), "keys without a comment");

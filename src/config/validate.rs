@@ -4,6 +4,7 @@
 
 use super::{CONFIG_VERSION, Config, zone};
 use crate::imaging::params::{ImagingParams, RANGE_STEP_M, SMOOTHING_MIN_HZ};
+use crate::imaging::plan::combine::Combine;
 use crate::parameter::{ParameterError, check_range};
 use crate::sensor::{Emission, RecordingFormat, SensorSetup, air};
 use crate::signal::{SENSORS_MAX, SampleFormat};
@@ -27,6 +28,7 @@ pub(super) fn validate(config: &Config) -> Result<(), ParameterError> {
     config.emission.validate().map_err(|error| error.within("emission"))?;
     let emission = config.emission()?;
     check_band(config, &recording, &emission)?;
+    config.calibration.validate().map_err(|error| error.within("calibration"))?;
     check_imaging(config, &recording, &emission)?;
     check_sensors(config, &recording)?;
     config.platform.validate().map_err(|error| error.within("platform"))?;
@@ -110,6 +112,7 @@ fn check_imaging(config: &Config, recording: &RecordingFormat, emission: &Emissi
     if let Some(cutoff_hz) = smoothing_hz {
         check_range("imaging.smoothing_hz", cutoff_hz, SMOOTHING_MIN_HZ, 0.5 * recording.demodulated_rate_hz())?;
     }
+    Combine::new(&config.imaging)?;
     let direction_count = config.directions()?.len() as f64;
     let range_count = (range_max_m - range_min_m) / range_step_m.unwrap_or_else(|| fine_step_m(config, emission));
     if !(direction_count * range_count <= CELLS_MAX) {
@@ -186,8 +189,32 @@ pub(super) fn warnings(config: &Config) -> Vec<String> {
             1e3 * period_s
         ));
     }
+    warnings.extend(uncalibrated(config));
     if let (Ok(setups), Ok(directions)) = (config.sensor_setups(), config.directions()) {
         warnings.extend(config.dead_zones(&setups, &directions).into_iter().flat_map(|zone| zone.warnings));
+    }
+    warnings
+}
+
+/// Standard deviation of a calibrated speed of sound, as a share, from which it may be worse than the configured one: 3 K.
+const SPEED_SD_SHARE: f64 = 0.005;
+
+/// Sensors that a calibration which is to be applied does not know, and a speed of sound that it hardly knows.
+fn uncalibrated(config: &Config) -> Vec<String> {
+    let params = &config.calibration;
+    let Some(measured) = params.measured.as_ref().filter(|_| !params.apply.is_empty()) else { return Vec::new() };
+    let mut warnings = Vec::new();
+    let names = config.sensor.iter().map(|sensor| sensor.name.as_str());
+    let unknown: Vec<&str> = names.filter(|name| measured.sensor(name).is_none()).collect();
+    if !unknown.is_empty() {
+        warnings.push(format!("calibration.file knows nothing of sensor {}: used as configured", unknown.join(", ")));
+    }
+    let best_m_s = measured.sensor.iter().map(|sensor| sensor.speed_of_sound_sd_m_s).fold(f64::INFINITY, f64::min);
+    if params.speed_of_sound_m_s().is_some_and(|speed_m_s| !(best_m_s <= SPEED_SD_SHARE * speed_m_s)) {
+        warnings.push(format!(
+            "calibration.apply lists \"speed-of-sound\", which the file knows to {best_m_s:.1} m/s only: calibrate with \
+             --air-temperature-c"
+        ));
     }
     warnings
 }

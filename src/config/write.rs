@@ -28,7 +28,7 @@ const COMMENTS: &[(&str, &str)] = &[
     ("emission.file", "CSV of samples at the demodulated rate, relative to this file."),
     (
         "imaging",
-        "Sonar images. Optional: range_step_m (default: the smaller of 5 mm and c / (2.4 bandwidth)), smoothing_hz.",
+        "Sonar images. Optional: range_step_m (default: the smaller of 5 mm and c / (2.4 bandwidth)), smoothing_hz, focus_to_m, multiply_order.",
     ),
     ("imaging.backend", "\"auto\" (a hardware GPU, else the CPU), \"gpu\" (any adapter) or \"cpu\""),
     ("imaging.range_min_m", "First range."),
@@ -44,6 +44,14 @@ const COMMENTS: &[(&str, &str)] = &[
     ("imaging.directions.file", "CSV of azimuth_deg,elevation_deg rows instead, relative to this file."),
     ("imaging.weighting", "Matched filter: \"none\" or \"phat\"."),
     ("imaging.smoothing_hz", "Cut-off of the smoothing low-pass on the envelope."),
+    (
+        "imaging.focus_to_m",
+        "Ranges up to this one are focused on the exact path; 0: plane waves everywhere. Default: where it matters.",
+    ),
+    ("imaging.beamformer", "\"delay-and-sum\", or cell by cell \"delay-multiply-and-sum\" or \"minimum-variance\"."),
+    ("imaging.multiply_order", "Microphones multiplied with one another, 2 to 5."),
+    ("imaging.coherence", "Factor on the amplitude: \"none\", \"amplitude\", \"phase\" or \"sign\"."),
+    ("imaging.apodization", "Weights of the microphones: \"uniform\" or \"low-side-lobes\"."),
     ("sensor", "A sensor, 1 to 3 of them. Any [[sensor]] replaces all built-in ones."),
     ("sensor.name", "Part of the topic names."),
     ("sensor.mount", "Distance and bearing of its place from the robot's centre, yaw against that bearing."),
@@ -92,6 +100,10 @@ const COMMENTS: &[(&str, &str)] = &[
     ),
     ("ipc.root", "Directory of the shared files, private to one user."),
     ("ipc.prefix", "First characters of every name in it."),
+    ("control.movers", "Room for what moves by the ego-motion estimate: less forward speed, never more."),
+    ("control.movers.enabled", "Whether the robot slows down, or stands, to let somebody pass."),
+    ("control.movers.horizon_s", "How far ahead movers and robot are thought on, straight."),
+    ("control.movers.gap_m", "Gap that is to be left between the footprint and a mover."),
     ("safety", "Timeouts of the safe-state contract. None can be switched off."),
     ("safety.max_age_ms", "Oldest capture that may still move the robot."),
     ("safety.hold_latch_s", "How long the controller waits in HOLD before it must be armed again."),
@@ -99,10 +111,7 @@ const COMMENTS: &[(&str, &str)] = &[
     ("safety.group_deadline_ms", "How long to wait for the other sensors of an emission."),
     ("safety.input_max_age_ms", "Oldest wanted velocity that is still obeyed."),
     ("detect", "Detectors on ranges, beside the controller."),
-    (
-        "detect.enabled",
-        "Whether the daemon runs them and publishes noctule/scan, noctule/obstacle and noctule/objects.",
-    ),
+    ("detect.enabled", "Whether the daemon runs them and publishes noctule/scan, /obstacle, /objects and /ego_motion."),
     (
         "detect.drive_path",
         "Whether the planned path below is driven: its follower wishes on noctule/input as any planner does.",
@@ -128,6 +137,23 @@ const COMMENTS: &[(&str, &str)] = &[
     ("detect.ring.cell_m", "Edge of a cell of the occupancy grid."),
     ("detect.ring.range_noise_m", "Standard deviation of a reading: what an object's covariance follows from."),
     ("detect.ring.range_max_m", "Farthest that a virtual sonar reads."),
+    (
+        "calibration",
+        "What `noctule calibrate` measured of the sensors. Optional: file. Nothing is applied that is not listed; drift is an\n# alarm, never a stop.",
+    ),
+    ("calibration.file", "File that noctule calibrate wrote, relative to this file."),
+    (
+        "calibration.apply",
+        "What of it is applied: \"speed-of-sound\" (before the configured one), \"emitter\", \"microphones\" (moved along the line\n# from the emitter), \"gains\" (as weights).",
+    ),
+    (
+        "calibration.watch",
+        "Whether the daemon watches for drift: against the file, or without one against what it hears in its first minute.",
+    ),
+    ("calibration.speed_tolerance", "Relative error of the speed of sound that is an alarm; 0.01 is 6 K."),
+    ("calibration.path_tolerance_m", "Change of the way from the emitter to a microphone that is an alarm."),
+    ("calibration.gain_tolerance_db", "Change of a microphone's gain against the others that is an alarm."),
+    ("calibration.level_tolerance_db", "Loss of the emitter's level that is an alarm."),
 ];
 
 /// What is said above keys that several layers share, by their last part.

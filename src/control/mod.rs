@@ -17,6 +17,7 @@ mod obstacle_avoidance;
 pub mod params;
 pub mod platform;
 mod progress;
+mod room;
 
 pub use collision_avoidance::CollisionAvoidance;
 pub use corridor_following::CorridorFollowing;
@@ -27,11 +28,12 @@ pub use params::ControlParams;
 pub use platform::PlatformLimits;
 
 use crate::geometry::Pose2;
-use crate::signal::{Cause, Cues, Decision, LayerName, Velocity};
+use crate::signal::{Cause, Cues, Decision, LayerName, Movers, Velocity};
 use crate::time::Stamp;
 use approach::Approach;
 use detour::Detour;
 use progress::{Avoidance, Progress, WayOut};
+use room::Room;
 use std::time::Duration;
 
 /// Age beyond which cues are not acted on, unless [`Controller::with_max_age`] says otherwise: three periods.
@@ -71,6 +73,7 @@ pub struct Controller {
     progress: Progress,
     approach: Approach,
     detour: Detour,
+    room: Room,
     /// The side to which CA turned on the last ping set, +1 or -1, if it acted.
     avoided: Option<f64>,
     last: Velocity,
@@ -89,6 +92,7 @@ impl Controller {
             progress: Progress::new(&params.stuck),
             approach: Approach::default(),
             detour: Detour::new(half_lane_m(params, platform), platform.radius_m),
+            room: Room::new(&params.movers, platform.radius_m),
             avoided: None,
             last: Velocity::ZERO,
             last_now: None,
@@ -128,7 +132,9 @@ impl Controller {
         let is_clear = !layer::is_above(collision, self.params.collision_avoidance.release);
         let is_loud = layer::is_above(collision, self.params.collision_avoidance.threshold);
         let avoidance = Avoidance { turn: self.avoided, is_clear, is_loud };
-        self.progress.observe(odometry, self.last, wanted, &avoidance, elapsed_s);
+        // Who waits for somebody to pass asks for no progress.
+        let asked = if self.room.waits() { Velocity::ZERO } else { wanted };
+        self.progress.observe(odometry, self.last, asked, &avoidance, elapsed_s);
         let decel_m_s2 = self.platform.max_linear_accel_m_s2;
         self.approach.observe(cues, &self.progress.pose(), self.last, decel_m_s2, elapsed_s);
         let approaching = self.approach.is_seen();
@@ -157,6 +163,7 @@ impl Controller {
         let behind_m_s = self.speed_for_way_m_s(cues.coverage.behind_m);
         let mut asked = limits::within_platform(output.velocity, &self.platform);
         asked.linear_m_s = asked.linear_m_s.clamp(-behind_m_s, ahead_m_s);
+        asked.linear_m_s = self.room.limited_m_s(asked.linear_m_s, now, elapsed_s);
         let growth_s = elapsed_s.min(2.0 / self.params.rate_hz);
         self.last = limits::rate_limited(self.last, asked, growth_s, &self.platform);
         Decision {
@@ -169,12 +176,19 @@ impl Controller {
         }
     }
 
+    /// Takes what moves, as it was heard in the ping set of `emitted_at`: where `[control.movers]` is enabled the next decisions give
+    /// it room, by less forward speed than without it and nothing else.
+    pub fn give_room(&mut self, movers: &Movers, emitted_at: Stamp) {
+        self.room.tell(movers, emitted_at);
+    }
+
     /// Forgets everything but the parameters.
     pub fn reset(&mut self) {
         self.layers.iter_mut().for_each(|layer| layer.reset());
         self.progress = Progress::new(&self.params.stuck);
         self.approach = Approach::default();
         self.detour.forget();
+        self.room.forget();
         self.avoided = None;
         (self.last, self.last_now) = (Velocity::ZERO, None);
     }

@@ -39,6 +39,8 @@ pub struct ControlParams {
     pub coverage: CoverageParams,
     /// When the robot counts as stuck, and how it gets away.
     pub stuck: StuckParams,
+    /// Room for what moves.
+    pub movers: RoomParams,
 }
 
 /// `[control.collision_avoidance]`, paper 000, eq. 11.
@@ -188,6 +190,18 @@ pub struct StuckParams {
     pub escape_turn_deg: f64,
 }
 
+/// `[control.movers]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RoomParams {
+    /// Whether the robot slows down for what moves.
+    pub enabled: bool,
+    /// How far ahead movers and robot are thought on, straight.
+    pub horizon_s: f64,
+    /// Gap that is to be left between the footprint and a mover.
+    pub gap_m: f64,
+}
+
 impl Default for ControlParams {
     fn default() -> Self {
         Self::for_platform(&PlatformLimits::default())
@@ -219,6 +233,7 @@ impl ControlParams {
             energy: EnergyParams::default(),
             coverage: CoverageParams::default(),
             stuck: StuckParams::default(),
+            movers: RoomParams::default(),
         }
     }
 
@@ -256,7 +271,9 @@ impl ControlParams {
         check_range("coverage.reaction_s", self.coverage.reaction_s, 0.1, 2.0)?;
         check_range("stuck.time_s", self.stuck.time_s, 1.0, 600.0)?;
         check_positive("stuck.distance_m", self.stuck.distance_m, 10.0)?;
-        check_range("stuck.escape_turn_deg", self.stuck.escape_turn_deg, 10.0, 180.0)
+        check_range("stuck.escape_turn_deg", self.stuck.escape_turn_deg, 10.0, 180.0)?;
+        check_range("movers.horizon_s", self.movers.horizon_s, 0.2, 10.0)?;
+        check_range("movers.gap_m", self.movers.gap_m, 0.0, 2.0)
     }
 }
 
@@ -439,6 +456,12 @@ impl EnergyParams {
 impl Default for CoverageParams {
     fn default() -> Self {
         Self { blind_gap_m: 0.4, reaction_s: 0.35 }
+    }
+}
+
+impl Default for RoomParams {
+    fn default() -> Self {
+        Self { enabled: false, horizon_s: 3.0, gap_m: 0.3 }
     }
 }
 

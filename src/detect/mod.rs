@@ -6,7 +6,12 @@
 //!
 //! The way of vector projection: [`projection`] detects on an edge, [`local_map`] remembers reflectors, [`obstacle`] measures and plans
 //! a way round, [`path_follower`] drives. [`voronoi`] makes edges from walls.
+//!
+//! Beside them, [`ego_motion`]: how the robot itself moves and what moves beside it, from how echoes move between ping sets.
 
+pub mod ego_fit;
+pub mod ego_motion;
+pub mod ego_tracks;
 pub mod heading;
 pub mod local_map;
 pub mod obstacle;
@@ -15,16 +20,20 @@ pub mod params;
 pub mod path_follower;
 pub mod projection;
 pub mod range_scan;
+pub mod reflectors;
 pub mod ring;
 pub mod ring_detector;
 pub mod route;
 pub mod scan_fuser;
+mod side_lobes;
+pub mod slip;
 pub mod tracks;
 pub mod triangulation;
 pub mod virtual_ring;
 pub mod virtual_sonar;
 pub mod voronoi;
 
+pub use ego_motion::{EgoMotion, EgoPlatform};
 pub use params::{DetectParams, ProjectionParams, RingParams};
 pub use path_follower::{Detector, FollowerState, ObstacleReport, PathFollower, ProjectionDetector};
 pub use range_scan::RangeScanner;

@@ -5,11 +5,8 @@
 //! place is refined by a parabola through the three bins around it. A loud reflector's side lobes show at about its own range in every
 //! direction and are not taken for echoes. Never fuses sensors or pings.
 
+use super::side_lobes::{Loudness, vertex};
 use crate::signal::{Energyscape, PolarGrid, RangeScan, Reading};
-
-/// How far before and behind a loud reflector its side lobes reach: off its direction the microphones' echoes are added as far apart
-/// in range as half the array is wide (12 cm), and half a pulse more.
-const SIDE_LOBE_REACH_M: f64 = 0.06;
 
 /// Finds the nearest echoes of one sensor.
 #[derive(Debug, Clone)]
@@ -18,11 +15,7 @@ pub struct RangeScanner {
     /// Per range bin: envelope below which a cell is silent.
     floors: Vec<f32>,
     side_lobe_share: f32,
-    /// Largest value of each range bin over all directions; scratch.
-    loudest: Vec<f32>,
-    /// The same over the bins that its side lobes reach; scratch.
-    around: Vec<f32>,
-    reach_bins: usize,
+    loudness: Loudness,
 }
 
 impl RangeScanner {
@@ -34,9 +27,7 @@ impl RangeScanner {
             hidden: (0..grid.direction_count()).map(|index| hidden.get(index).copied().unwrap_or(false)).collect(),
             floors: (0..grid.range_count()).map(|index| floor_at(grid.range_m(index)) as f32).collect(),
             side_lobe_share: side_lobe_share as f32,
-            loudest: vec![0.0; grid.range_count()],
-            around: vec![0.0; grid.range_count()],
-            reach_bins: (SIDE_LOBE_REACH_M / grid.range_step_m()).ceil() as usize,
+            loudness: Loudness::new(grid),
         }
     }
 
@@ -58,16 +49,7 @@ impl RangeScanner {
             readings.fill(Reading::Unseen);
             return;
         }
-        self.loudest.fill(0.0);
-        for row in cells.chunks_exact(range_count) {
-            for (loudest, value) in self.loudest.iter_mut().zip(row) {
-                *loudest = loudest.max(*value);
-            }
-        }
-        for (index, around) in self.around.iter_mut().enumerate() {
-            let (first, last) = (index.saturating_sub(self.reach_bins), (index + self.reach_bins).min(range_count - 1));
-            *around = self.loudest[first..=last].iter().copied().fold(0.0, f32::max);
-        }
+        self.loudness.listen(cells.chunks_exact(range_count));
         let rows = cells.chunks_exact(range_count).zip(&self.hidden);
         for (reading, (row, hidden)) in readings.iter_mut().zip(rows) {
             let unseen = *hidden || !row.iter().all(|value| value.is_finite());
@@ -83,9 +65,9 @@ impl RangeScanner {
     }
 
     fn first_echo(&self, row: &[f32], grid: &PolarGrid) -> Reading {
-        let heard = |index: &usize| {
-            row[*index] > self.floors[*index] && row[*index] >= self.side_lobe_share * self.around[*index]
-        };
+        let around = self.loudness.around();
+        let heard =
+            |index: &usize| row[*index] > self.floors[*index] && row[*index] >= self.side_lobe_share * around[*index];
         let Some(rise) = (0..row.len()).find(heard) else { return Reading::Clear };
         let mut peak = rise;
         while peak + 1 < row.len() && row[peak + 1] > row[peak] {
@@ -97,13 +79,6 @@ impl RangeScanner {
         };
         Reading::Echo { range_m: grid.range_m(peak) + offset * grid.range_step_m(), energy: row[peak] }
     }
-}
-
-/// Where the parabola through three values has its top, in steps from the middle one; within half a step.
-fn vertex(before: f32, top: f32, after: f32) -> f64 {
-    let (before, top, after) = (f64::from(before), f64::from(top), f64::from(after));
-    let bend = before - 2.0 * top + after;
-    if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -64,8 +64,8 @@ pub struct ScanFuser {
     /// `[ray][piece][sensor]`.
     sights: Vec<Sight>,
     piece_count: usize,
-    /// Per ray the first piece that any sensor sees; `piece_count` for none.
-    first_seen: Vec<usize>,
+    /// Per ray the first piece that any sensor sees and the one behind the last; `piece_count` and 0 for none.
+    in_sight: Vec<[usize; 2]>,
     range_m: [f64; 2],
     sequence: u64,
     emitted_at: Option<Stamp>,
@@ -96,23 +96,25 @@ impl ScanFuser {
         let last_m = grid.range_m(grid.range_count() - 1);
         let reach_m = last_m + ears.iter().map(|ear| ear.pose.position_m().norm()).fold(0.0, f64::max);
         let piece_count = (reach_m / PIECE_M).ceil() as usize;
+        let bearings: Vec<_> = ears.iter().map(Ear::bearings).collect();
         let mut sights = Vec::with_capacity(RAYS * piece_count * ears.len());
         for ray in 0..RAYS {
             for piece in 0..piece_count {
                 let place_m = cartesian_from_polar(piece_middle_m(piece), RobotScan::bearing_rad(ray));
-                sights.extend(ears.iter().enumerate().map(|(index, ear)| ear.sight(place_m, &hidden[index])));
+                let of_ear = |(index, ear): (usize, &Ear)| ear.sight(place_m, &hidden[index], &bearings[index]);
+                sights.extend(ears.iter().enumerate().map(of_ear));
             }
         }
         let per_ray = piece_count * ears.len();
-        let first_of = |ray: usize| {
+        let ends_of = |ray: usize| {
             let seen = |piece: &[Sight]| piece.iter().any(|sight| sight.direction != NOWHERE);
-            let row = &sights[ray * per_ray..(ray + 1) * per_ray];
-            row.chunks_exact(ears.len().max(1)).position(seen).unwrap_or(piece_count)
+            let pieces = || sights[ray * per_ray..(ray + 1) * per_ray].chunks_exact(ears.len().max(1));
+            [pieces().position(seen).unwrap_or(piece_count), pieces().rposition(seen).map_or(0, |last| last + 1)]
         };
-        let first_seen: Vec<usize> = (0..RAYS).map(first_of).collect();
-        let nearest = first_seen.iter().copied().min().unwrap_or(0);
+        let in_sight: Vec<[usize; 2]> = (0..RAYS).map(ends_of).collect();
+        let nearest = in_sight.iter().map(|[first, _]| *first).min().unwrap_or(0);
         let range_m = [nearest as f64 * PIECE_M, reach_m];
-        Self { ears, sights, piece_count, first_seen, range_m, sequence: 0, emitted_at: None }
+        Self { ears, sights, piece_count, in_sight, range_m, sequence: 0, emitted_at: None }
     }
 
     /// Takes what sensor `sensor_index` saw: the cells of its energyscape, wherever they lie. A sensor that is not there is ignored.
@@ -162,16 +164,17 @@ impl ScanFuser {
 
     /// Distance up to which a ray is known to be free of echoes.
     fn free_m(&self, ray: usize) -> f64 {
-        let first = self.first_seen[ray];
+        let [first, _] = self.in_sight[ray];
         let free = (first..self.piece_count).take_while(|piece| self.is_free(ray, *piece)).count();
         if free == 0 { 0.0 } else { (first + free) as f64 * PIECE_M }
     }
 
     /// Distance from which on no sensor could see the ray at all; what lies beyond does not make it unseen.
     fn end_of_sight_m(&self, ray: usize) -> f64 {
-        let seen = |piece: &usize| self.sights_of(ray, *piece).iter().any(|sight| sight.direction != NOWHERE);
-        let last = (self.first_seen[ray]..self.piece_count).rev().find(seen);
-        last.map_or(f64::INFINITY, |last| (last + 1) as f64 * PIECE_M)
+        match self.in_sight[ray] {
+            [_, 0] => f64::INFINITY,
+            [_, end] => end as f64 * PIECE_M,
+        }
     }
 
     fn sights_of(&self, ray: usize, piece: usize) -> &[Sight] {
@@ -209,19 +212,32 @@ impl Ear {
         }
     }
 
-    /// Which direction sees a place of the robot frame, and how far off.
-    fn sight(&self, place_m: Vector2<f64>, hidden: &[bool]) -> Sight {
+    /// Bearing and place in the order of every level direction, by rising bearing.
+    fn bearings(&self) -> Vec<(f64, usize)> {
+        let of = |order: usize| (wrap_angle_rad(self.azimuth_rad(order)), order);
+        let mut bearings: Vec<(f64, usize)> = (0..self.level.len()).map(of).collect();
+        bearings.sort_by(|a, b| a.0.total_cmp(&b.0));
+        bearings
+    }
+
+    /// Which direction sees a place of the robot frame, and how far off; `bearings` are those of [`Ear::bearings`].
+    fn sight(&self, place_m: Vector2<f64>, hidden: &[bool], bearings: &[(f64, usize)]) -> Sight {
         let grid = &self.scan.grid;
         let (range_m, bearing_rad) = polar_from_cartesian(self.pose.local_from_parent(place_m));
         let nowhere = Sight { direction: NOWHERE, range_m: range_m as f32 };
         if range_m < grid.range_first_m() || range_m > grid.range_m(grid.range_count() - 1) {
             return nowhere;
         }
-        let off_rad = |order: &usize| wrap_angle_rad(self.azimuth_rad(*order) - bearing_rad).abs();
-        let nearest = (0..self.level.len()).min_by(|a, b| off_rad(a).total_cmp(&off_rad(b)));
-        let seen =
-            nearest.filter(|order| off_rad(order) <= BEAM_HALF_WIDTH_RAD && !hidden[usize::from(self.level[*order])]);
-        seen.map_or(nowhere, |order| Sight { direction: self.level[order], range_m: range_m as f32 })
+        // The neighbours on either side, or across the seam behind the sensor.
+        let above = bearings.partition_point(|(direction_rad, _)| *direction_rad < bearing_rad);
+        let near = [above.checked_sub(1), Some(above), Some(0), bearings.len().checked_sub(1)];
+        let off = |index: usize| {
+            bearings.get(index).map(|(at_rad, order)| (wrap_angle_rad(at_rad - bearing_rad).abs(), *order))
+        };
+        let nearest = near.into_iter().flatten().filter_map(off).min_by(|a, b| a.0.total_cmp(&b.0));
+        let seen = nearest
+            .filter(|(off_rad, order)| *off_rad <= BEAM_HALF_WIDTH_RAD && !hidden[usize::from(self.level[*order])]);
+        seen.map_or(nowhere, |(_, order)| Sight { direction: self.level[order], range_m: range_m as f32 })
     }
 
     /// Enters this sensor's echoes as rays, the nearest of all sensors counting, and its reflectors as peaks.

@@ -8,7 +8,7 @@ use crate::signal::{Energyscape, MaskTable, PingSet, RowSums, SENSORS_MAX};
 use crate::time::Stamp;
 use std::sync::Arc;
 
-/// The five stages, in order. The names are file stems, shader stems and bench ids.
+/// The stages, in order. The names are file stems, shader stems and bench ids.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Stage {
     /// PDM or PCM to `f32` PCM, `[channel][sample]`.
@@ -19,14 +19,25 @@ pub enum Stage {
     DelayAndSum,
     /// Band spectra of the directions to the energyscape, `[direction][range]`.
     Envelope,
+    /// Band spectra of the channels to the near ranges of the energyscape, focused on their exact path, `[direction][range]`.
+    Focus,
     /// Energyscapes to the sums of the mask table's rows.
     MaskedEnergy,
 }
 
+/// Time of each stage, nanoseconds, in the order of [`Stage::ALL`].
+pub type StageTimes = [u64; Stage::ALL.len()];
+
 impl Stage {
     /// All stages in order.
-    pub const ALL: [Stage; 5] =
-        [Stage::Demodulate, Stage::MatchedFilter, Stage::DelayAndSum, Stage::Envelope, Stage::MaskedEnergy];
+    pub const ALL: [Stage; 6] = [
+        Stage::Demodulate,
+        Stage::MatchedFilter,
+        Stage::DelayAndSum,
+        Stage::Envelope,
+        Stage::Focus,
+        Stage::MaskedEnergy,
+    ];
 
     /// The stem shared by shader, CPU twin, oracle, bench and timing label.
     #[must_use]
@@ -36,6 +47,7 @@ impl Stage {
             Stage::MatchedFilter => "matched_filter",
             Stage::DelayAndSum => "delay_and_sum",
             Stage::Envelope => "envelope",
+            Stage::Focus => "focus",
             Stage::MaskedEnergy => "masked_energy",
         }
     }
@@ -190,7 +202,7 @@ pub trait Backend: Send {
 
     /// Time of each stage in the last call of [`Backend::image`], nanoseconds, in the order of [`Stage::ALL`]; zeros
     /// where it is not known.
-    fn stage_times_ns(&self) -> [u64; 5];
+    fn stage_times_ns(&self) -> StageTimes;
 
     /// What this backend is.
     fn report(&self) -> &BackendReport;

@@ -17,8 +17,8 @@
 mod channel;
 mod pattern;
 mod sensor;
-mod start;
-mod template;
+pub(crate) mod start;
+pub(crate) mod template;
 
 pub use pattern::{Calibration, OUTLIER_MAX_M, OUTLIER_MIN_M, RMS_MAX_M};
 

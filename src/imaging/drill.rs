@@ -3,7 +3,7 @@
 //! In: a backend that works, and a function that names the fault of every ping set. Out: what a device with that fault would give.
 //! For tests and for `noctule soak`, which have to see a GPU fail where there is none; no configuration leads here.
 
-use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput};
+use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput, StageTimes};
 use crate::signal::PingSet;
 use std::time::Duration;
 
@@ -116,7 +116,7 @@ impl Backend for Drill {
         self.inner.image_up_to(stage, pings, sensor_index, image)
     }
 
-    fn stage_times_ns(&self) -> [u64; 5] {
+    fn stage_times_ns(&self) -> StageTimes {
         self.inner.stage_times_ns()
     }
 

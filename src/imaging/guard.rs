@@ -3,7 +3,7 @@
 //! In: ping sets, and an [`Opener`] for new devices. Out: images with a stamp, or the reason why the CPU has to image. The decisions are
 //! [`Quarantine`]'s, the waiting is the [`Workshop`]'s: nothing here waits but the backend's own call, which has a deadline.
 
-use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image};
+use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, StageTimes};
 use super::quarantine::{GpuEvent, Quarantine, Step, Trust};
 use super::workshop::{self, Opener, Workshop};
 use crate::signal::PingSet;
@@ -68,8 +68,8 @@ impl GpuGuard {
     }
 
     /// Time of each stage of the last image.
-    pub(super) fn stage_times_ns(&self) -> [u64; 5] {
-        self.backend.as_ref().map_or([0; 5], |backend| backend.stage_times_ns())
+    pub(super) fn stage_times_ns(&self) -> StageTimes {
+        self.backend.as_ref().map_or(StageTimes::default(), |backend| backend.stage_times_ns())
     }
 
     /// Lets rests end and takes over what the workshop has opened. Waits for nothing.

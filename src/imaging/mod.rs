@@ -21,7 +21,7 @@ mod workshop;
 
 use crate::signal::{MaskTable, PingSet};
 use crate::time::SystemClock;
-use backend::{Backend, BackendError, BackendKind, BackendReport, Image};
+use backend::{Backend, BackendError, BackendKind, BackendReport, Image, StageTimes};
 use channels::ChannelFinding;
 use cpu::CpuBackend;
 use guard::GpuGuard;
@@ -70,7 +70,7 @@ pub struct Imager {
     report: BackendReport,
     /// Ping sets since an image of the GPU was last compared with the CPU's.
     unchecked: u32,
-    stage_times_ns: [u64; 5],
+    stage_times_ns: StageTimes,
 }
 
 /// What [`Imager::cross_check`] found.
@@ -163,7 +163,16 @@ impl Imager {
             None => (None, BackendReport { reason: cpu_reason.to_owned(), ..cpu.report().clone() }),
         };
         let image = Image::empty(&plan, &masks);
-        Ok(Self { plan, cpu, gpu, other: image.clone(), image, report, unchecked: 0, stage_times_ns: [0; 5] })
+        Ok(Self {
+            plan,
+            cpu,
+            gpu,
+            other: image.clone(),
+            image,
+            report,
+            unchecked: 0,
+            stage_times_ns: StageTimes::default(),
+        })
     }
 
     /// Images a ping set: judges the channels of every ping present, then images on the GPU if there is one that is trusted. A ping
@@ -332,7 +341,7 @@ impl Imager {
 
     /// Time of each stage of the last ping set, as [`Backend::stage_times_ns`].
     #[must_use]
-    pub fn stage_times_ns(&self) -> [u64; 5] {
+    pub fn stage_times_ns(&self) -> StageTimes {
         self.stage_times_ns
     }
 

@@ -27,6 +27,48 @@ pub enum Weighting {
     Phat,
 }
 
+/// What is made of the channels of a cell once they are aligned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Beamformer {
+    /// Their sum.
+    #[default]
+    DelayAndSum,
+    /// The sum of the products of `multiply_order` different ones, each with its root for amplitude (Matrone et al. 2015, "The delay multiply
+    /// and sum beamforming algorithm in ultrasound B-mode medical imaging", IEEE TMI 34; Shen and Hsieh 2019 in the baseband).
+    DelayMultiplyAndSum,
+    /// The weighted sum of least power that keeps the cell's own echo, in sub-bands, with diagonal loading (Capon 1969): the reference for
+    /// quality, twenty times the work.
+    MinimumVariance,
+}
+
+/// Weights of the microphones, beside those that are switched off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Apodization {
+    /// All alike.
+    #[default]
+    Uniform,
+    /// Those of least power beside the main lobe for this array, band and grid.
+    LowSideLobes,
+}
+
+/// Factor on the amplitude of a cell, 1 where the aligned channels agree, towards 0 where they do not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Coherence {
+    /// None.
+    #[default]
+    None,
+    /// Power of the sum over the sum of the powers times their number (Mallart and Fink 1994, JASA 96).
+    Amplitude,
+    /// 1 - sqrt(1 - |mean of the channels' phasors|^2) (Camacho and Fritsch 2011, "Phase coherence imaging of grained materials", IEEE TUFFC 58).
+    Phase,
+    /// 1 - sqrt(1 - (mean of the channels' signs)^2), a sign being that of the part in phase with the sum (Camacho et al. 2009, "Phase
+    /// coherence imaging", IEEE TUFFC 56).
+    Sign,
+}
+
 /// Directions of interest: equal steps in the horizontal plane, or a file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -53,6 +95,9 @@ pub const RANGE_STEP_M: std::ops::RangeInclusive<f64> = 1e-4..=0.5;
 /// Lowest cut-off of the smoothing low-pass.
 pub const SMOOTHING_MIN_HZ: f64 = 10.0;
 
+/// Farthest range that can be asked to be focused.
+pub const FOCUS_TO_MAX_M: f64 = 1000.0;
+
 /// `[imaging]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -73,6 +118,19 @@ pub struct ImagingParams {
     /// Cut-off of the smoothing low-pass on the envelope; off when absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub smoothing_hz: Option<f64>,
+    /// Ranges up to this one are focused on the exact path from the emitter and to every microphone, farther ones take echoes for plane
+    /// waves; 0 focuses none. By default as far as it makes a difference (0.7 m for the built-in array), none with smoothing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub focus_to_m: Option<f64>,
+    /// What is made of the aligned channels. Anything but the plain sum is done cell by cell, at every range on the exact path.
+    pub beamformer: Beamformer,
+    /// Channels multiplied with one another, 2 to 5; 2 by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub multiply_order: Option<usize>,
+    /// Factor on the amplitude.
+    pub coherence: Coherence,
+    /// Weights of the microphones.
+    pub apodization: Apodization,
 }
 
 impl Default for ImagingParams {
@@ -85,6 +143,11 @@ impl Default for ImagingParams {
             directions: DirectionsParams::default(),
             weighting: Weighting::None,
             smoothing_hz: None,
+            focus_to_m: None,
+            beamformer: Beamformer::DelayAndSum,
+            multiply_order: None,
+            coherence: Coherence::None,
+            apodization: Apodization::Uniform,
         }
     }
 }

@@ -12,19 +12,26 @@
 //! 5. folded into M bins (index k mod M: sampling every T / M aliases nothing else, since only those instants are asked
 //!    for) and transformed back: the analytic signal at t_0 + i T / M, whose magnitude is the envelope, with T = N / fs.
 
-use super::params::{ImagingParams, RANGE_STEP_M, SMOOTHING_MIN_HZ, Weighting};
+use super::params::{Apodization, ImagingParams, RANGE_STEP_M, SMOOTHING_MIN_HZ, Weighting};
 use super::steering;
 use crate::parameter::{ParameterError, check_range};
 use crate::sensor::{Emission, RecordingFormat, SensorSetup};
 use crate::signal::{Direction, PolarGrid, SENSORS_MAX, SampleFormat};
+use nalgebra::Vector3;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
+mod apodization;
+pub mod combine;
 mod filters;
 mod floor;
+pub mod focus;
 mod sizes;
 
 pub use floor::StageFloor;
+pub use focus::FocusPlan;
+#[cfg(feature = "gpu")]
+pub(super) use sizes::is_smooth;
 
 /// Stopband of both FIRs, decibels: what they leak stays below 1e-5 of full scale, a tenth of the accuracy asked for.
 const ATTENUATION_DB: f64 = 110.0;
@@ -87,6 +94,8 @@ pub struct ImagingPlan {
     pub smoothing_taps: Vec<f32>,
     /// The published grid: ranges of the first `range_count` outputs of the inverse transform.
     pub grid: Arc<PolarGrid>,
+    /// The ranges that are focused on their exact path, if any.
+    pub focus: Option<FocusPlan>,
     /// What differs between sensors.
     pub sensors: Vec<SensorPlan>,
 }
@@ -98,7 +107,7 @@ pub struct SensorPlan {
     pub channel_count: usize,
     /// Apodization weight of each channel, zero where disabled.
     pub weights: Vec<f32>,
-    /// `[direction][channel]`: p.u / c, by how much the channel hears a wave from the direction earlier than the origin.
+    /// `[direction][channel]`: (p + e).u / c, by how much the channel hears a wave from the direction earlier than the origin.
     pub delays_s: Arc<Vec<f64>>,
     /// Directions hidden by housings or obstructions: their cells are zero.
     pub hidden: Vec<bool>,
@@ -150,16 +159,14 @@ impl ImagingPlan {
     ) -> Result<ImagingPlan, ParameterError> {
         check_sensors(sensors, hidden, recording, directions.len())?;
         check_range("speed_of_sound_m_s", speed_of_sound_m_s, 50.0, 10_000.0)?;
-        let emission = &sensors[0].emission;
+        let emission = Arc::clone(&sensors[0].emission);
         let rate_hz = recording.demodulated_rate_hz();
-        let band = checked_band(emission, rate_hz)?;
+        let band = checked_band(&emission, rate_hz)?;
+        let sensors = &apodized(sensors, params, &directions, &band, speed_of_sound_m_s)[..];
         let step_m = checked_step(params, recording, &band, speed_of_sound_m_s)?;
         let smoothing_half = params.smoothing_hz.map_or(0.0, |cutoff_hz| rate_hz / cutoff_hz);
 
-        let delays: Vec<Arc<Vec<f64>>> = sensors
-            .iter()
-            .map(|sensor| Arc::new(steering::delays_s(&sensor.array, &directions, speed_of_sound_m_s)))
-            .collect();
+        let delays = plane_wave_delays(sensors, params, &directions, speed_of_sound_m_s);
         let steer_s = delays.iter().flat_map(|table| table.iter()).fold(0.0, |most: f64, delay| most.max(delay.abs()));
         let last_s = 2.0 * params.range_max_m / speed_of_sound_m_s + steer_s;
         let used = checked_span(last_s * rate_hz + smoothing_half, rate_hz, &band)? + emission.samples.len();
@@ -198,12 +205,20 @@ impl ImagingPlan {
             inverse_len: sizes.inverse_len,
             phat: params.weighting == Weighting::Phat,
             smoothing_taps: Vec::new(),
+            focus: None,
             grid: Arc::new(grid),
             sensors: sensor_plans(sensors, hidden, &delays, emission.samples.len() as f64 / rate_hz + CLIP_GRACE_S),
         };
-        plan.reference = reference(&plan, &band, emission, 2.0 * params.range_min_m / speed_of_sound_m_s);
+        plan.reference = reference(&plan, &band, &emission, 2.0 * params.range_min_m / speed_of_sound_m_s);
         plan.smoothing_taps = smoothing_taps(&plan, params)?;
+        plan.focus = focus::focus(&plan, sensors, params, &band, speed_of_sound_m_s)?;
         Ok(plan)
+    }
+
+    /// Whether any range is imaged with plane waves.
+    #[must_use]
+    pub fn has_plane_waves(&self) -> bool {
+        self.focus.as_ref().is_none_or(|focus| focus.range_count < self.grid.range_count())
     }
 
     /// Raw values of one ping of a sensor: words (PDM) or channels times samples (PCM).
@@ -260,6 +275,37 @@ fn check_sensors(
         }
     }
     Ok(())
+}
+
+/// Delays of every sensor: from the emitter's place, unless nothing is to be known of near points at all.
+fn plane_wave_delays(
+    sensors: &[SensorSetup],
+    params: &ImagingParams,
+    directions: &[Direction],
+    speed_of_sound_m_s: f64,
+) -> Vec<Arc<Vec<f64>>> {
+    let of_sensor = |sensor: &SensorSetup| {
+        let emitter_m = if params.focus_to_m == Some(0.0) { Vector3::zeros() } else { sensor.emitter_m };
+        Arc::new(steering::delays_s(&sensor.array, &emitter_m, directions, speed_of_sound_m_s))
+    };
+    sensors.iter().map(of_sensor).collect()
+}
+
+/// The sensors with the weights that are asked for.
+fn apodized(
+    sensors: &[SensorSetup],
+    params: &ImagingParams,
+    directions: &[Direction],
+    band: &Band,
+    speed_of_sound_m_s: f64,
+) -> Vec<SensorSetup> {
+    let mut sensors = sensors.to_vec();
+    if params.apodization == Apodization::LowSideLobes {
+        for sensor in &mut sensors {
+            sensor.array.weights = apodization::low_side_lobes(sensor, directions, band, speed_of_sound_m_s);
+        }
+    }
+    sensors
 }
 
 fn checked_band(emission: &Emission, rate_hz: f64) -> Result<Band, ParameterError> {

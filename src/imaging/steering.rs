@@ -7,6 +7,7 @@ use super::params::DirectionsParams;
 use crate::parameter::{ParameterError, check_range};
 use crate::sensor::MicrophoneArray;
 use crate::signal::Direction;
+use nalgebra::Vector3;
 
 /// Most directions of one grid.
 pub const DIRECTIONS_MAX: usize = 16_384;
@@ -70,14 +71,20 @@ fn check_count(count: usize, key: &str) -> Result<(), ParameterError> {
     }
 }
 
-/// Delays p.u / c in seconds, `[direction][channel]`, disabled channels included.
+/// Delays (p + e).u / c in seconds, `[direction][channel]`, disabled channels included; the emitter e stands in the origin where its
+/// place is not to be looked at.
 #[must_use]
-pub fn delays_s(array: &MicrophoneArray, directions: &[Direction], speed_of_sound_m_s: f64) -> Vec<f64> {
+pub fn delays_s(
+    array: &MicrophoneArray,
+    emitter_m: &Vector3<f64>,
+    directions: &[Direction],
+    speed_of_sound_m_s: f64,
+) -> Vec<f64> {
     directions
         .iter()
         .flat_map(|direction| {
             let unit = direction.unit();
-            array.positions_m.iter().map(move |position| position.dot(&unit) / speed_of_sound_m_s)
+            array.positions_m.iter().map(move |position| (position + emitter_m).dot(&unit) / speed_of_sound_m_s)
         })
         .collect()
 }
@@ -85,7 +92,6 @@ pub fn delays_s(array: &MicrophoneArray, directions: &[Direction], speed_of_soun
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Vector3;
 
     #[test]
     fn the_default_directions_are_symmetric_half_degrees() {
@@ -100,7 +106,7 @@ mod tests {
         let array =
             MicrophoneArray { positions_m: vec![Vector3::new(0.0, 0.1, 0.0)], enabled: vec![true], weights: vec![1.0] };
         let left = [Direction::horizontal(std::f64::consts::FRAC_PI_2), Direction::horizontal(0.0)];
-        let delays = delays_s(&array, &left, 343.0);
+        let delays = delays_s(&array, &Vector3::zeros(), &left, 343.0);
         assert!((delays[0] - 0.1 / 343.0).abs() < 1e-15 && delays[1].abs() < 1e-15);
     }
 

@@ -1,4 +1,4 @@
-//! The detectors' side of the topics: energyscapes and odometry in, scan, obstacle and objects out.
+//! The detectors' side of the topics: energyscapes and odometry in, scan, obstacle, objects and ego-motion out.
 //!
 //! A client of the daemon's own topics like any other: it reads the images where they lie, and nobody waits for it. Opened by the
 //! daemon, in a thread of its own.
@@ -10,6 +10,7 @@ use super::topics::Topic;
 use super::wire::WireType;
 use super::wire::detections::{Objects, Obstacle, Scan};
 use super::wire::message::{EnergyscapeHeader, Odometry};
+use super::wire::motion::EgoMotion;
 
 /// Everything that the detectors publish and listen to.
 #[derive(Debug)]
@@ -19,6 +20,7 @@ pub struct DetectorTopics {
     scan: FixedPublisher<Scan>,
     obstacle: FixedPublisher<Obstacle>,
     objects: FixedPublisher<Objects>,
+    ego_motion: FixedPublisher<EgoMotion>,
     _registration: Registration,
 }
 
@@ -26,7 +28,7 @@ impl DetectorTopics {
     fn needs(sensors: &[String]) -> Needs {
         let images = sensors.iter().map(|sensor| Topic::energyscape(sensor));
         let needs = images.chain([Topic::odometry()]).fold(Needs::new(), |needs, topic| needs.subscriber(&topic));
-        [Topic::scan(), Topic::obstacle(), Topic::objects()]
+        [Topic::scan(), Topic::obstacle(), Topic::objects(), Topic::ego_motion()]
             .iter()
             .fold(needs, |needs, topic| needs.publisher(topic, 1))
     }
@@ -49,7 +51,7 @@ impl DetectorTopics {
     /// [`IpcError`].
     pub fn open(ipc: &Ipc, sensors: &[String]) -> Result<Self, IpcError> {
         let images: Vec<Topic> = sensors.iter().map(|sensor| Topic::energyscape(sensor)).collect();
-        let (registration, (images, odometry, scan, obstacle, objects)) =
+        let (registration, (images, odometry, scan, obstacle, objects, ego_motion)) =
             ipc.set_up("noctule-detectors", Self::needs(sensors), move |session| {
                 let images: Result<Vec<_>, IpcError> =
                     images.iter().map(|topic| session.slice_subscriber(topic)).collect();
@@ -59,9 +61,10 @@ impl DetectorTopics {
                     session.publisher(&Topic::scan())?,
                     session.publisher(&Topic::obstacle())?,
                     session.publisher(&Topic::objects())?,
+                    session.publisher(&Topic::ego_motion())?,
                 ))
             })?;
-        Ok(Self { images, odometry, scan, obstacle, objects, _registration: registration })
+        Ok(Self { images, odometry, scan, obstacle, objects, ego_motion, _registration: registration })
     }
 
     /// Shows the newest energyscape of a sensor since the last call, in shared memory; `None` without one, for a sensor that is not
@@ -100,5 +103,13 @@ impl DetectorTopics {
     /// [`IpcError::Send`].
     pub fn publish_objects(&self, objects: &Objects) -> Result<(), IpcError> {
         self.objects.send(*objects)
+    }
+
+    /// Publishes how the robot and what is around it move.
+    ///
+    /// # Errors
+    /// [`IpcError::Send`].
+    pub fn publish_ego_motion(&self, ego_motion: &EgoMotion) -> Result<(), IpcError> {
+        self.ego_motion.send(*ego_motion)
     }
 }

@@ -1,5 +1,5 @@
 //! The figures of paper 000, drawn from our own drives and configurations; curves of measured times ([`curves()`]); and what one
-//! ping was made of ([`heard()`], [`rectangular()`]); and what a detector knows of its surroundings ([`grid_map()`]).
+//! ping was made of ([`heard()`], [`rectangular()`]); how a robot moved by its echoes ([`motion_panels()`]); and what a detector knows of its surroundings ([`grid_map()`]).
 //!
 //! | figure | function | what goes in |
 //! |---|---|---|
@@ -21,6 +21,7 @@ mod flow_lines;
 mod frames;
 mod grid_map;
 mod heat_map;
+mod motion;
 mod regions;
 mod robot;
 mod signals;
@@ -33,6 +34,7 @@ pub use flow_lines::{FlowCurve, FlowMark, FlowPanel, flow_lines};
 pub use frames::{energyscapes_together, frames};
 pub use grid_map::{PlottedGrid, PlottedObject, grid_map};
 pub use heat_map::{HeatMapOptions, HeatMeasure, heat_map};
+pub use motion::{PlottedMotion, PlottedMover, motion_panels};
 pub use regions::{PlottedRegions, masks_together, regions};
 pub use robot::PlottedRobot;
 pub use signals::{HeardPing, heard, rectangular};

@@ -8,6 +8,7 @@ use super::wire::detections::{Objects, Obstacle, Scan};
 use super::wire::message::{
     EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput, format_name,
 };
+use super::wire::motion::EgoMotion;
 use super::wire::telemetry::{Cues, Health, PlatformVelocity};
 use super::wire::{Field, Primitive, WireType};
 use crate::signal::SampleFormat;
@@ -32,6 +33,8 @@ pub const SCAN: &str = "noctule/scan";
 pub const OBSTACLE: &str = "noctule/obstacle";
 /// Objects around the robot and the map of them.
 pub const OBJECTS: &str = "noctule/objects";
+/// How the robot moves by its echoes, and what moves beside it.
+pub const EGO_MOTION: &str = "noctule/ego_motion";
 /// How the daemon is.
 pub const HEALTH: &str = "noctule/health";
 /// Attribute of every service: the schema hash of its payload, or of its header where it has one, in 16 hex digits.
@@ -237,6 +240,12 @@ impl Topic {
         Self::fixed::<Objects>(OBJECTS, NEWEST, "daemon to anybody")
     }
 
+    /// `noctule/ego_motion`.
+    #[must_use]
+    pub fn ego_motion() -> Self {
+        Self::fixed::<EgoMotion>(EGO_MOTION, NEWEST, "daemon to anybody")
+    }
+
     /// `noctule/health`.
     #[must_use]
     pub fn health() -> Self {
@@ -287,6 +296,7 @@ impl Topic {
             Topic::scan(),
             Topic::obstacle(),
             Topic::objects(),
+            Topic::ego_motion(),
             Topic::health(),
         ]);
         topics
@@ -443,22 +453,9 @@ mod tests {
     fn the_services_are_those_of_the_specification() {
         let names: Vec<String> =
             Topic::all(&sensors(), SampleFormat::PcmI16).into_iter().map(|topic| topic.name).collect();
-        let expected = [
-            "noctule/sonar/front/pcm",
-            "noctule/sonar/left/pcm",
-            "noctule/sonar/front/energyscape",
-            "noctule/sonar/left/energyscape",
-            "noctule/cues",
-            "noctule/command",
-            "noctule/input",
-            "noctule/operator",
-            "noctule/odometry",
-            "noctule/platform",
-            "noctule/scan",
-            "noctule/obstacle",
-            "noctule/objects",
-            "noctule/health",
-        ];
+        let expected = "sonar/front/pcm sonar/left/pcm sonar/front/energyscape sonar/left/energyscape cues command input operator \
+                        odometry platform scan obstacle objects ego_motion health";
+        let expected: Vec<String> = expected.split(' ').map(|leaf| format!("noctule/{leaf}")).collect();
         assert_eq!(names, expected);
         assert_eq!(raw("x", SampleFormat::Pdm), "noctule/sonar/x/pdm");
         assert_eq!(raw("x", SampleFormat::PcmF32), "noctule/sonar/x/pcm_f32");

@@ -15,8 +15,8 @@ use crate::io::DaemonTopics;
 use crate::io::record::Note;
 use crate::io::source::Moment;
 use crate::io::wire::message::{
-    EnergyscapeHeader, FLAG_BACKEND_FALLBACK, FLAG_CHANNELS_LEFT_OUT, FLAG_NO_WITNESS, Odometry, Request,
-    VelocityCommand, VelocityInput,
+    EnergyscapeHeader, FLAG_BACKEND_FALLBACK, FLAG_CHANNELS_LEFT_OUT, FLAG_NO_WITNESS, Request, VelocityCommand,
+    VelocityInput,
 };
 use crate::io::wire::telemetry::{CueThresholds, Cues};
 use crate::safety::{DaemonEvent, DaemonOutput, OperatorEvent};
@@ -154,7 +154,7 @@ impl DecisionLoop {
             self.tape.note(SystemClock.now(), Note::Input(input));
         }
         if let Some(odometry) = self.topics.poll_odometry() {
-            self.pose = pose_of(&odometry);
+            self.pose = odometry.dated_pose();
             self.tape.note(SystemClock.now(), Note::Odometry(odometry));
         }
         if self.tape.is_on() {
@@ -318,10 +318,4 @@ impl DecisionLoop {
         }
         now
     }
-}
-
-fn pose_of(odometry: &Odometry) -> Option<(Pose2, Stamp)> {
-    let pose = Pose2 { x_m: odometry.x_m, y_m: odometry.y_m, heading_rad: odometry.heading_rad };
-    let finite = pose.x_m.is_finite() && pose.y_m.is_finite() && pose.heading_rad.is_finite();
-    finite.then_some((pose, Stamp { boottime_ns: odometry.t_monotonic_ns, wall_ns: odometry.t_wall_ns }))
 }

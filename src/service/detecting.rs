@@ -1,6 +1,6 @@
-//! The detecting thread: from the daemon's own energyscapes to scan, obstacle and objects.
+//! The detecting thread: from the daemon's own energyscapes to scan, obstacle, objects and ego-motion.
 //!
-//! Goes in: what the daemon publishes, read where it lies in shared memory like any other reader, and odometry. Comes out: three
+//! Goes in: what the daemon publishes, read where it lies in shared memory like any other reader, and odometry. Comes out: four
 //! topics, and notes for a recording. The deciding thread knows nothing of it: it never waits for it, and if it hangs nothing else
 //! does. Runs at the priority of ordinary threads.
 
@@ -8,13 +8,15 @@ use super::ServiceError;
 use super::wiring::SensingSetup;
 use super::{detections, scanning};
 use crate::config::Config;
-use crate::detect::{ProjectionDetector, RingDetector, ScanFuser};
+use crate::detect::ego_tracks::arc;
+use crate::detect::{EgoMotion, ProjectionDetector, RingDetector, ScanFuser};
 use crate::geometry::Pose2;
 use crate::io::record::{Note, NoteTap};
 use crate::io::wire::detections::{Objects, Obstacle, Scan};
-use crate::io::wire::message::{FLAG_NO_WITNESS, Odometry};
+use crate::io::wire::message::FLAG_NO_WITNESS;
+use crate::io::wire::motion;
 use crate::io::{DetectorTopics, InputPublisher, Ipc, IpcError};
-use crate::signal::RobotScan;
+use crate::signal::{RobotScan, Velocity};
 use crate::time::{Clock, Stamp, SystemClock};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -86,11 +88,13 @@ struct Detectors {
     fuser: ScanFuser,
     projection: ProjectionDetector,
     ring: RingDetector,
+    ego_motion: Box<EgoMotion>,
+    twist: Velocity,
     pose: Option<(Pose2, Stamp)>,
     pose_max_age_ns: u64,
     had_pose: bool,
     scan: RobotScan,
-    wire: Box<(Scan, Obstacle, Objects)>,
+    wire: Box<(Scan, Obstacle, Objects, motion::EgoMotion)>,
     complained: bool,
 }
 
@@ -104,11 +108,13 @@ impl Detectors {
             fuser: scanning::fuser(config, setup),
             projection: ProjectionDetector::new(&config.detect.projection),
             ring: RingDetector::new(&config.detect.ring),
+            ego_motion: Box::new(scanning::estimator(config, setup)),
+            twist: Velocity::ZERO,
             pose: None,
             pose_max_age_ns: config.safety.input_max_age_ns(),
             had_pose: false,
             scan: RobotScan::unseen(),
-            wire: Box::new((Scan::blank(), Obstacle::blank(), Objects::blank())),
+            wire: Box::new((Scan::blank(), Obstacle::blank(), Objects::blank(), motion::EgoMotion::blank())),
             complained: false,
         }
     }
@@ -117,7 +123,8 @@ impl Detectors {
         let mut news: Option<Instant> = None;
         while !stop.load(Ordering::Relaxed) {
             if let Some(odometry) = self.topics.odometry() {
-                self.pose = sound(&odometry);
+                self.pose = odometry.dated_pose();
+                self.twist = odometry.twist();
             }
             if self.listen() {
                 news.get_or_insert_with(Instant::now);
@@ -134,12 +141,13 @@ impl Detectors {
     fn listen(&mut self) -> bool {
         let mut heard = false;
         for sensor in 0..self.sensor_count {
-            let fuser = &mut self.fuser;
+            let (fuser, ego_motion) = (&mut self.fuser, &mut self.ego_motion);
             let read = self.topics.energyscape(sensor, |header, cells| {
                 let emitted_at = Stamp { boottime_ns: header.t_monotonic_ns, wall_ns: header.t_wall_ns };
                 // A silent world is never a free one: what such a sensor alone sees is unseen.
                 if header.flags & FLAG_NO_WITNESS == 0 {
                     fuser.hear(sensor, header.sequence, emitted_at, cells);
+                    ego_motion.hear(sensor, cells);
                 } else {
                     fuser.pass(header.sequence, emitted_at);
                 }
@@ -153,26 +161,32 @@ impl Detectors {
         self.fuser.fuse(&mut self.scan);
         let emitted_at = self.scan.emitted_at;
         let near = |(_, at): &(Pose2, Stamp)| emitted_at.since_ns(*at).unsigned_abs() <= self.pose_max_age_ns;
-        let pose = self.pose.filter(near).map(|(pose, _)| pose);
+        let dated = self.pose.filter(near);
+        let pose = dated.map(|(pose, _)| pose);
         if pose.is_none() || !self.had_pose {
             // Another frame than that of the places remembered.
             self.ring.reset();
             self.projection.reset();
         }
         self.had_pose = pose.is_some();
-        let (scan, obstacle, objects) = &mut *self.wire;
+        let (scan, obstacle, objects, motion) = &mut *self.wire;
+        // Odometry comes when it likes; the flow is that between two emissions.
+        let then = dated.map(|(pose, at)| pose.compose(&arc(self.twist, emitted_at.since_ns(at) as f64 * 1e-9)));
+        let moved = self.ego_motion.update(self.scan.sequence, emitted_at, then);
         let ring = self.ring.update(&self.scan, &pose.unwrap_or_default());
         detections::fill_objects(objects, &self.scan, ring, pose);
         let projected = pose.map(|pose| self.projection.update(&self.scan, &pose, emitted_at));
         detections::fill_obstacle(obstacle, &self.scan, projected.as_ref());
         let now = SystemClock.now();
         scan.fill(&self.scan, now.boottime_ns);
+        *motion = motion::EgoMotion::new(moved, now.boottime_ns);
         (obstacle.t_completed_ns, objects.t_completed_ns) = (now.boottime_ns, now.boottime_ns);
         let sent = self
             .topics
             .publish_scan(scan)
             .and_then(|()| self.topics.publish_obstacle(obstacle))
-            .and_then(|()| self.topics.publish_objects(objects));
+            .and_then(|()| self.topics.publish_objects(objects))
+            .and_then(|()| self.topics.publish_ego_motion(motion));
         self.complain(sent);
         if let (Some(planner), Some(projected)) = (&mut self.planner, projected) {
             let wished = planner.want(projected.wish, now);
@@ -191,16 +205,10 @@ impl Detectors {
 
     fn record(&self, now: Stamp) {
         let Some(notes) = &self.notes else { return };
-        let (scan, obstacle, objects) = &*self.wire;
+        let (scan, obstacle, objects, motion) = &*self.wire;
         notes.note(now, Note::Scan(Box::new(*scan)));
         notes.note(now, Note::Obstacle(Box::new(*obstacle)));
         notes.note(now, Note::Objects(Box::new(*objects)));
+        notes.note(now, Note::EgoMotion(Box::new(*motion)));
     }
-}
-
-/// Pose and time of odometry that is made of numbers.
-fn sound(odometry: &Odometry) -> Option<(Pose2, Stamp)> {
-    let pose = odometry.pose();
-    let finite = pose.x_m.is_finite() && pose.y_m.is_finite() && pose.heading_rad.is_finite();
-    finite.then_some((pose, Stamp { boottime_ns: odometry.t_monotonic_ns, wall_ns: odometry.t_wall_ns }))
 }

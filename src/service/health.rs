@@ -3,6 +3,8 @@
 
 use super::latency::Latencies;
 use super::pipeline::{Outcome, Pipeline};
+use crate::calibration::{Alarms, Drift};
+use crate::imaging::backend::{Stage, StageTimes};
 use crate::io::record::RecordState;
 use crate::io::wire::telemetry::{Health, recording_number};
 use crate::io::{DaemonTopics, IpcError};
@@ -34,6 +36,7 @@ pub struct Reporter {
     news: bool,
     passed_self_test: bool,
     reported_at: Option<Stamp>,
+    drifted: [Alarms; SENSORS_MAX],
     complaints: u64,
     deadline_ms: f64,
 }
@@ -96,8 +99,25 @@ impl Reporter {
         if std::mem::take(&mut self.passed_self_test) {
             pipeline.calibrations().for_each(|(name, found)| log::info!("{name}: {found}"));
         }
+        self.tell_drift(pipeline);
         let due = self.reported_at.is_none_or(|at| now.since_ns(at) >= PERIOD_NS);
         (due || self.news).then(|| self.report_now(now, pipeline, topics))
+    }
+
+    /// Logs an alarm when it begins and when it ends.
+    fn tell_drift(&mut self, pipeline: &Pipeline) {
+        for (index, sensor) in pipeline.setup().sensors.iter().enumerate() {
+            let now = pipeline.drift(index);
+            if now.alarms == self.drifted[index] {
+                continue;
+            }
+            self.drifted[index] = now.alarms;
+            self.news = true;
+            match now.alarms.is_empty() {
+                true => log::info!("{}: nothing has drifted any more", sensor.name),
+                false => log::warn!("{}: drifted: {}: {now}", sensor.name, now.alarms),
+            }
+        }
     }
 
     /// Publishes; gives what was published.
@@ -106,6 +126,8 @@ impl Reporter {
         self.reported_at = Some(now);
         let latency = self.latencies.summary();
         let imager = pipeline.imager();
+        let drifts: [Drift; SENSORS_MAX] = std::array::from_fn(|index| pipeline.drift(index));
+        let watched = &drifts[..pipeline.setup().sensors.len().min(SENSORS_MAX)];
         let health = Health {
             t_monotonic_ns: now.boottime_ns,
             t_wall_ns: now.wall_ns,
@@ -121,13 +143,17 @@ impl Reporter {
             latency_p50_ms: latency.p50_ms,
             latency_p99_ms: latency.p99_ms,
             latency_max_ms: latency.max_ms,
-            stage_ms: imager.stage_times_ns().map(|time_ns| time_ns as f64 * 1e-6),
+            stage_ms: stage_ms(imager.stage_times_ns()),
             bad_channel_count: self.bad_channel_count,
             sensors_present: self.sensors_present,
             state: pipeline.daemon().state().number(),
             reason: pipeline.daemon().reason().number(),
             backend: imager.kind() as u32,
             recording: recording_number(self.recording),
+            heard_speed_m_s: drifts.map(|drift| drift.speed_of_sound_m_s),
+            heard_speed_sd_m_s: drifts.map(|drift| drift.speed_sd_m_s),
+            drift: drifts.map(|drift| drift.alarms.bits()),
+            drift_looks: watched.iter().map(|drift| drift.looks).min().unwrap_or(0) as u32,
             ..Health::blank()
         }
         .with_adapter(&imager.report().adapter);
@@ -136,4 +162,13 @@ impl Reporter {
         }
         Health { epoch: topics.epoch(), ..health }
     }
+}
+
+/// The topic's five stages: focusing counts as a part of the envelope, whose near ranges it makes.
+fn stage_ms(times_ns: StageTimes) -> [f64; 5] {
+    let time_ms = |stage: Stage| times_ns[stage as usize] as f64 * 1e-6;
+    let envelope_ms = time_ms(Stage::Envelope) + time_ms(Stage::Focus);
+    let [demodulate, matched_filter, delay_and_sum] =
+        [Stage::Demodulate, Stage::MatchedFilter, Stage::DelayAndSum].map(time_ms);
+    [demodulate, matched_filter, delay_and_sum, envelope_ms, time_ms(Stage::MaskedEnergy)]
 }

@@ -11,13 +11,16 @@
 
 pub mod acquisition;
 pub mod corridor;
+mod crew;
 pub mod decision;
 mod detecting;
 mod detections;
 mod drive;
 pub mod handoff;
 pub mod health;
+pub mod image_quality;
 pub mod latency;
+pub mod motion_trials;
 pub mod pipeline;
 pub mod plots;
 pub mod proving;

@@ -1,9 +1,12 @@
 //! One ping set through everything: plausibility, imaging, cues, decision, state. No threads and no I/O; "now" comes from
 //! the caller, so the daemon, a replay and a test run the same code.
 
+use super::scanning::estimator;
 use super::wiring::SensingSetup;
+use crate::calibration::{Drift, DriftMonitor};
 use crate::config::Config;
 use crate::control::Controller;
+use crate::detect::EgoMotion;
 use crate::flow::MaskSet;
 use crate::geometry::Pose2;
 use crate::imaging::backend::{BackendError, BackendKind, Image};
@@ -44,11 +47,16 @@ pub struct Pipeline {
     daemon: Daemon,
     plausibility: Plausibility,
     direct_path: DirectPath,
+    drift: DriftMonitor,
     /// Way that the robot needs to see to be allowed the slowest forward motion.
     needed_ahead_m: f64,
     /// From one trigger of the sensors to the next.
     period_ns: u64,
     fell_back: bool,
+    /// Where the controller gives movers room: what finds them, and what it needs of the set processed last.
+    ego_motion: Option<Box<EgoMotion>>,
+    last_used: [bool; SENSORS_MAX],
+    last_pose: Option<Pose2>,
 }
 
 impl Pipeline {
@@ -58,8 +66,13 @@ impl Pipeline {
         let max_age_ns = config.safety.max_age_ns();
         let controller =
             Controller::new(&config.control, &config.platform).with_max_age(Duration::from_nanos(max_age_ns));
+        let ego_motion = config.control.movers.enabled.then(|| Box::new(estimator(config, &setup)));
         Self {
+            ego_motion,
+            last_used: [false; SENSORS_MAX],
+            last_pose: None,
             direct_path: DirectPath::new(&setup.plan, &setup.sensors, setup.speed_of_sound_m_s),
+            drift: DriftMonitor::new(&setup.plan, &setup.uncalibrated, &config.calibration, setup.speed_of_sound_m_s),
             daemon: Daemon::new(setup.sensors.len(), max_age_ns, epoch, now),
             controller,
             plausibility: Plausibility::default(),
@@ -88,6 +101,12 @@ impl Pipeline {
     pub fn calibrations(&self) -> impl Iterator<Item = (&str, Calibration)> {
         let sensors = self.setup.sensors.iter().enumerate();
         sensors.filter_map(|(index, sensor)| Some((sensor.name.as_str(), self.direct_path.calibration(index)?)))
+    }
+
+    /// What is known of a sensor's air and geometry now.
+    #[must_use]
+    pub fn drift(&self, sensor_index: usize) -> Drift {
+        self.drift.drift(sensor_index)
     }
 
     /// The backend chooser.
@@ -149,6 +168,7 @@ impl Pipeline {
         }
         let cues = self.masks.fuse(&image.sums, used, pings.emitted_at, pings.sequence);
         let decision = self.controller.step_with_odometry(now, &cues, wanted, pose);
+        (self.last_used, self.last_pose) = (used, pose);
         let group = GroupFindings {
             captured_at_ns,
             sensors: findings,
@@ -196,10 +216,25 @@ impl Pipeline {
     }
 
     /// What may wait until the command of `pings`, the set processed last, is out: the backends are compared now and then. An image
-    /// that was used and is wrong is a fault.
+    /// that was used and is wrong is a fault. And some channels of the direct path are listened to for drift, which decides nothing.
     pub fn after_command(&mut self, pings: &PingSet, now: Stamp) -> Option<DaemonOutput> {
+        self.drift.listen(&self.setup.plan, pings);
+        self.find_movers(pings);
         let found = self.imager.cross_check(pings);
         (found == CrossCheck::Mismatch).then(|| self.tell(DaemonEvent::BackendMismatch, now))
+    }
+
+    /// Looks for movers in the images of the set processed last, for the next decision.
+    fn find_movers(&mut self, pings: &PingSet) {
+        let Some(ego_motion) = &mut self.ego_motion else { return };
+        let image = self.imager.last_image();
+        for (index, energyscape) in image.energyscapes.iter().enumerate() {
+            if self.last_used[index] && pings.present[index] {
+                ego_motion.hear(index, &energyscape.values);
+            }
+        }
+        let report = ego_motion.update(pings.sequence, pings.emitted_at, self.last_pose);
+        self.controller.give_room(&report.movers, pings.emitted_at);
     }
 
     /// Whether a GPU was chosen and the CPU imaged this set. So a GPU that rests keeps the state DEGRADED, and so does one that

@@ -4,17 +4,12 @@
 //! whatever the number of threads: a trial depends on world, robot, seed and conditions alone. A trial that fails is a
 //! result among the others. No command line and no file is known here; the only clock read is that of the progress report.
 
-use super::ServiceError;
 use super::trial::{Moment, SensorLoss, Trial, TrialOptions, TrialRig};
+use super::{ServiceError, crew};
 use crate::imaging::params::Prefer;
 use crate::sim::{SimParams, World};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::mpsc::{self, RecvTimeoutError};
-use std::time::Duration;
-
-/// Pause between two reports of progress.
-const REPORT_PAUSE: Duration = Duration::from_millis(200);
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A robot to be driven, and what it is called.
 pub struct Entrant {
@@ -77,46 +72,17 @@ impl Programme<'_> {
     /// [`ServiceError::Internal`] when no thread can be started. What goes wrong in a run is in its [`Run::outcome`].
     pub fn drive(&self, hear: &mut dyn FnMut(Told)) -> Result<Vec<Run>, ServiceError> {
         let run_count = self.entrants.len() * self.runs as usize;
-        let workers = self.jobs.clamp(1, run_count.max(1));
-        let (next, sets) = (AtomicUsize::new(0), AtomicU64::new(0));
+        let sets = AtomicU64::new(0);
         let of = self.entrants.iter().map(|entrant| self.sets_max(entrant) * self.runs).sum();
-        let mut finished: Vec<Option<Run>> = Vec::new();
-        finished.resize_with(run_count, || None);
-        std::thread::scope(|scope| {
-            let (sender, receiver) = mpsc::channel();
-            for worker in 0..workers {
-                let (sender, next, sets) = (sender.clone(), &next, &sets);
-                let work = move || {
-                    loop {
-                        let index = next.fetch_add(1, Ordering::Relaxed);
-                        // A receiver that is gone has failed already; there is nobody to work for.
-                        if index >= run_count || sender.send((index, self.run(index, sets))).is_err() {
-                            break;
-                        }
-                    }
-                };
-                let named = std::thread::Builder::new().name(format!("noctule-run-{worker}"));
-                named
-                    .spawn_scoped(scope, work)
-                    .map_err(|error| ServiceError::Internal(format!("no thread: {error}")))?;
+        let mut told = 0;
+        let mut tell = |finished: &[Option<Run>]| {
+            hear(Told::Progress { sets: sets.load(Ordering::Relaxed), of });
+            while let Some(run) = finished.get(told).and_then(Option::as_ref) {
+                hear(Told::Finished(run));
+                told += 1;
             }
-            drop(sender);
-            let mut told = 0;
-            loop {
-                match receiver.recv_timeout(REPORT_PAUSE) {
-                    Ok((index, run)) => finished[index] = Some(run),
-                    Err(RecvTimeoutError::Timeout) => {}
-                    Err(RecvTimeoutError::Disconnected) => return Ok::<(), ServiceError>(()),
-                }
-                hear(Told::Progress { sets: sets.load(Ordering::Relaxed), of });
-                while let Some(run) = finished.get(told).and_then(Option::as_ref) {
-                    hear(Told::Finished(run));
-                    told += 1;
-                }
-            }
-        })?;
-        let runs: Vec<Run> = finished.into_iter().flatten().collect();
-        if runs.len() == run_count { Ok(runs) } else { Err(ServiceError::Internal("a run was lost".to_owned())) }
+        };
+        crew::work_off(run_count, self.jobs, "noctule-run", || (), |(), index| self.run(index, &sets), &mut tell)
     }
 
     /// Ping sets of a run that lasts until the world's time limit.
@@ -128,8 +94,13 @@ impl Programme<'_> {
         let (entrant, number) = (index / self.runs as usize, index as u64 % self.runs);
         let robot = &self.entrants[entrant];
         let seed = self.first_seed.wrapping_add(number);
-        let options =
-            TrialOptions { acoustics: self.acoustics, seed, prefer: self.prefer, losses: robot.losses.clone() };
+        let options = TrialOptions {
+            acoustics: self.acoustics,
+            seed,
+            prefer: self.prefer,
+            losses: robot.losses.clone(),
+            slips: Vec::new(),
+        };
         let mut count = 0;
         let mut watch = |_: &Moment| {
             count += 1;

@@ -14,7 +14,7 @@ pub use score::{Score, Told};
 
 use super::scanning::Scanning;
 use super::trial::TrialRig;
-use super::{ServiceError, simulator};
+use super::{ServiceError, crew, simulator};
 use crate::config::Config;
 use crate::detect::RingDetector;
 use crate::detect::ring::RingObject;
@@ -29,8 +29,6 @@ use nalgebra::Vector2;
 use score::{score, things};
 use single::{Compass, Listening, Singles};
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc;
 
 const CONFIG: &str = include_str!("../../fixtures/config/ring.toml");
 /// Pings over which the third method fuses, and the time between them.
@@ -157,47 +155,14 @@ impl RingScenes {
         jobs: usize,
         hear: &mut dyn FnMut(u64),
     ) -> Result<Vec<(u64, Scores)>, ServiceError> {
-        let next = AtomicU64::new(0);
-        let mut done: Vec<(u64, Result<Scores, ServiceError>)> = Vec::new();
-        std::thread::scope(|scope| {
-            let (sender, receiver) = mpsc::channel();
-            for worker in 0..jobs.clamp(1, runs.max(1) as usize) {
-                let (sender, next) = (sender.clone(), &next);
-                let work = move || {
-                    let mut worker = self.worker();
-                    loop {
-                        let index = next.fetch_add(1, Ordering::Relaxed);
-                        if index >= runs {
-                            break;
-                        }
-                        let seed = first_seed.wrapping_add(index);
-                        let scores = match &mut worker {
-                            Ok(worker) => worker.run(&Scene::random(seed)).map(|run| run.scores),
-                            Err(error) => Err(ServiceError::Internal(error.to_string())),
-                        };
-                        // A receiver that is gone has failed already; there is nobody to work for.
-                        if sender.send((index, scores)).is_err() {
-                            break;
-                        }
-                    }
-                };
-                let named = std::thread::Builder::new().name(format!("noctule-ring-{worker}"));
-                named
-                    .spawn_scoped(scope, work)
-                    .map_err(|error| ServiceError::Internal(format!("no thread: {error}")))?;
-            }
-            drop(sender);
-            for scored in receiver {
-                done.push(scored);
-                hear(done.len() as u64);
-            }
-            Ok::<(), ServiceError>(())
-        })?;
-        if done.len() as u64 != runs {
-            return Err(ServiceError::Internal("a scene was lost".to_owned()));
-        }
-        done.sort_by_key(|(index, _)| *index);
-        done.into_iter().map(|(index, scores)| Ok((first_seed.wrapping_add(index), scores?))).collect()
+        let seed = |index: usize| first_seed.wrapping_add(index as u64);
+        let work = |worker: &mut Result<RingWorker, ServiceError>, index| match worker {
+            Ok(worker) => worker.run(&Scene::random(seed(index))).map(|run| run.scores),
+            Err(error) => Err(ServiceError::Internal(error.to_string())),
+        };
+        let mut tell = |finished: &[Option<_>]| hear(finished.iter().flatten().count() as u64);
+        let scored = crew::work_off(runs as usize, jobs, "noctule-ring", || self.worker(), work, &mut tell)?;
+        scored.into_iter().enumerate().map(|(index, scores)| Ok((seed(index), scores?))).collect()
     }
 }
 

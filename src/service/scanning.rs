@@ -7,7 +7,7 @@ use super::trial::{TrialRig, open_imager};
 use super::wiring::SensingSetup;
 use super::{ServiceError, regions};
 use crate::config::Config;
-use crate::detect::ScanFuser;
+use crate::detect::{EgoMotion, EgoPlatform, ScanFuser};
 use crate::imaging::Imager;
 use crate::imaging::backend::BackendError;
 use crate::imaging::params::Prefer;
@@ -24,9 +24,23 @@ pub struct Scanning {
 #[must_use]
 pub fn fuser(config: &Config, setup: &SensingSetup) -> ScanFuser {
     let params = regions::mask_params(&config.control, &config.platform);
-    let hidden: Vec<Vec<bool>> = setup.plan.sensors.iter().map(|sensor| sensor.hidden.clone()).collect();
     let floor = |range_m| params.noise_floor.at(range_m);
-    ScanFuser::new(&setup.plan.grid, &setup.sensors, &hidden, floor, params.side_lobe_share)
+    ScanFuser::new(&setup.plan.grid, &setup.sensors, &setup.hidden_directions(), floor, params.side_lobe_share)
+}
+
+/// The estimator of a robot, as the daemon makes it.
+#[must_use]
+pub fn estimator(config: &Config, setup: &SensingSetup) -> EgoMotion {
+    let params = regions::mask_params(&config.control, &config.platform);
+    let platform = EgoPlatform {
+        radius_m: config.platform.radius_m,
+        max_linear_m_s: config.platform.max_linear_m_s,
+        max_angular_rad_s: config.platform.max_angular_rad_s,
+        speed_of_sound_m_s: setup.speed_of_sound_m_s,
+    };
+    let floor = |range_m| params.noise_floor.at(range_m);
+    let hidden = setup.hidden_directions();
+    EgoMotion::new(&setup.plan.grid, &setup.sensors, &hidden, floor, params.side_lobe_share, platform)
 }
 
 impl Scanning {

@@ -18,7 +18,7 @@ pub use troubles::{Case, Demand, Trouble, catalogue};
 use super::ServiceError;
 use super::drive::{CLOCK_START_NS, Drive};
 use super::trial::TrialRig;
-use crate::imaging::backend::{Backend, BackendError, BackendReport, Image, Stage, StageOutput};
+use crate::imaging::backend::{Backend, BackendError, BackendReport, Image, Stage, StageOutput, StageTimes};
 use crate::imaging::cpu::CpuBackend;
 use crate::imaging::drill::{DeviceFault, Drill};
 use crate::imaging::quarantine::Trust;
@@ -355,7 +355,7 @@ impl Backend for Lent {
         self.cpu().image_up_to(stage, pings, sensor_index, image)
     }
 
-    fn stage_times_ns(&self) -> [u64; 5] {
+    fn stage_times_ns(&self) -> StageTimes {
         self.cpu().stage_times_ns()
     }
 

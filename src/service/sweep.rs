@@ -316,7 +316,7 @@ impl<'a> Sight<'a> {
         let plan = &rig.setup().plan;
         let grid = &plan.grid;
         let mounts: Vec<Mount> = rig.setup().sensors.iter().map(|sensor| sensor.mount).collect();
-        let hidden: Vec<Vec<bool>> = plan.sensors.iter().map(|sensor| sensor.hidden.clone()).collect();
+        let hidden = rig.setup().hidden_directions();
         let view = View::new(grid, &mounts, &hidden);
         let bins = |sensor| (0..BEARING_BINS).map(|bin| view.sees_bearing(sensor, bearing_of_rad(bin))).collect();
         let views = mounts.iter().enumerate().map(|(sensor, mount)| (mount.pose(), bins(sensor))).collect();

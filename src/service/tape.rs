@@ -189,7 +189,17 @@ pub fn subject(config: &Config, setup: &SensingSetup) -> RecordSubject {
         format: setup.recording,
         pings: super::empty_ping_set(setup),
         period_s: 1.0 / config.control.rate_hz,
-        config_toml: config.to_toml(),
+        config_toml: found_from_anywhere(config).to_toml(),
         scanners: (0..setup.sensors.len()).map(scanner).collect(),
     }
+}
+
+/// The configuration with its calibration named so that a replay finds it from wherever the recording lies.
+fn found_from_anywhere(config: &Config) -> Config {
+    let mut config = config.clone();
+    if let Some(file) = &mut config.calibration.file {
+        let joined = config.base_dir.join(&*file);
+        *file = std::path::absolute(&joined).unwrap_or(joined);
+    }
+    config
 }

@@ -15,7 +15,7 @@ use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
 use crate::safety::GateState;
 use crate::signal::{Cause, Cues, DaemonState, Energyscape, LayerName, SENSORS_MAX, Velocity};
-use crate::sim::{RunScore, SimParams, Stay, World};
+use crate::sim::{MoverTruth, RunScore, SimParams, Stay, World};
 use std::sync::Arc;
 
 /// Ping sets that the self-test and arming may take.
@@ -43,6 +43,15 @@ pub struct SensorLoss {
     pub at_s: f64,
 }
 
+/// A time in which the wheels slip.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Slip {
+    /// Simulated time at which it begins and ends.
+    pub from_to_s: [f64; 2],
+    /// Share of its turning that each wheel brings to the floor: left, right.
+    pub grip: [f64; 2],
+}
+
 /// What a trial may be told.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrialOptions {
@@ -54,11 +63,13 @@ pub struct TrialOptions {
     pub prefer: Prefer,
     /// Sensors that are lost on the way.
     pub losses: Vec<SensorLoss>,
+    /// Times in which the wheels slip.
+    pub slips: Vec<Slip>,
 }
 
 impl Default for TrialOptions {
     fn default() -> Self {
-        Self { acoustics: SimParams::default(), seed: 1, prefer: Prefer::Cpu, losses: Vec::new() }
+        Self { acoustics: SimParams::default(), seed: 1, prefer: Prefer::Cpu, losses: Vec::new(), slips: Vec::new() }
     }
 }
 
@@ -123,6 +134,10 @@ pub struct Moment<'a> {
     pub cues: &'a Cues,
     /// The energyscapes, in the order of the sensors.
     pub energyscapes: &'a [Energyscape],
+    /// Where odometry put the robot when the sensors pinged.
+    pub odometry: Pose2,
+    /// What really moved then.
+    pub movers: &'a [MoverTruth],
 }
 
 impl TrialRig {
@@ -194,6 +209,7 @@ struct Run {
     track: Vec<TrackPoint>,
     unhindered: Stay,
     turns: TurnCounter,
+    movers: Vec<MoverTruth>,
 }
 
 impl Run {
@@ -201,7 +217,7 @@ impl Run {
         let imager = open_imager(&rig.setup, &rig.masks, options.prefer)?;
         let drive = Drive::new(rig, world, options.acoustics, options.seed, imager)?;
         let unhindered = Stay::new(drive.simulator.pose().position_m());
-        Ok(Self { drive, track: Vec::new(), unhindered, turns: TurnCounter::default() })
+        Ok(Self { drive, track: Vec::new(), unhindered, turns: TurnCounter::default(), movers: Vec::new() })
     }
 
     /// Lets the daemon test itself and arms daemon and gate, before the world's time begins.
@@ -243,6 +259,11 @@ impl Run {
         }
         let outcome = drive.decide(wanted)?;
         let before = (drive.simulator.pose(), drive.simulator.velocity());
+        let odometry = drive.simulator.odometry().pose;
+        self.movers.clear();
+        self.movers.extend(drive.simulator.movers());
+        let slip = options.slips.iter().find(|slip| (slip.from_to_s[0]..slip.from_to_s[1]).contains(&time_s));
+        drive.simulator.set_grip(slip.map_or([1.0; 2], |slip| slip.grip));
         for _ in 0..drive.ticks() {
             drive.tick(moves);
         }
@@ -268,7 +289,7 @@ impl Run {
         self.turns.note(&point);
         self.track.push(point);
         let energyscapes = &self.drive.pipeline.image().energyscapes;
-        Ok(watch(&Moment { point: &point, cues: &outcome.cues, energyscapes }))
+        Ok(watch(&Moment { point: &point, cues: &outcome.cues, energyscapes, odometry, movers: &self.movers }))
     }
 
     fn finish(self, seed: u64) -> Trial {

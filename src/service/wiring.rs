@@ -16,6 +16,8 @@ use std::sync::Arc;
 pub struct SensingSetup {
     /// The sensors, in the order of the plan.
     pub sensors: Vec<SensorSetup>,
+    /// The same before a calibration is applied.
+    pub uncalibrated: Vec<SensorSetup>,
     /// The plan for all of them.
     pub plan: Arc<ImagingPlan>,
     /// Format of the raw data.
@@ -39,6 +41,12 @@ impl SensingSetup {
     #[must_use]
     pub fn cell_counts(&self) -> Vec<usize> {
         vec![self.plan.grid.cell_count(); self.sensors.len()]
+    }
+
+    /// For each sensor and direction of the grid, whether something hides it.
+    #[must_use]
+    pub fn hidden_directions(&self) -> Vec<Vec<bool>> {
+        self.plan.sensors.iter().map(|sensor| sensor.hidden.clone()).collect()
     }
 
     /// Each sensor's name and what its raw pings must look like.
@@ -97,10 +105,18 @@ fn plan(config: &Config, chosen: &[usize], recording: &RecordingFormat) -> Resul
         warnings.extend(zone.warnings.iter().map(|what| format!("{name}: {what}")));
     }
     let sensors: Vec<SensorSetup> = chosen.iter().map(|index| setups[*index].clone()).collect();
+    // Files are read a second time only where something differs.
+    let uncalibrated = if config.calibration.apply.is_empty() {
+        sensors.clone()
+    } else {
+        let nominal = config.uncalibrated().sensor_setups()?;
+        chosen.iter().map(|index| nominal[*index].clone()).collect()
+    };
     let speed_of_sound_m_s = config.speed_of_sound_m_s();
     let plan = ImagingPlan::new(&sensors, &hidden, recording, &config.imaging, directions, speed_of_sound_m_s)?;
     Ok(SensingSetup {
         sensors,
+        uncalibrated,
         plan: Arc::new(plan),
         recording: *recording,
         speed_of_sound_m_s,
@@ -114,9 +130,9 @@ fn plan(config: &Config, chosen: &[usize], recording: &RecordingFormat) -> Resul
 /// # Errors
 /// A region that no sensor sees, and what [`MaskSet::build`] refuses.
 pub fn masks(config: &Config, setup: &SensingSetup) -> Result<MaskSet, ParameterError> {
-    let hidden: Vec<Vec<bool>> = setup.plan.sensors.iter().map(|sensor| sensor.hidden.clone()).collect();
     let params = regions::mask_params(&config.control, &config.platform);
-    MaskSet::build(&setup.plan.grid, &setup.sensors, &hidden, &params).map_err(|error| error.within("control"))
+    MaskSet::build(&setup.plan.grid, &setup.sensors, &setup.hidden_directions(), &params)
+        .map_err(|error| error.within("control"))
 }
 
 /// The recording format for a file that holds pings of `format` with `sample_count` words or samples of one channel: what

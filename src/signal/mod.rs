@@ -7,6 +7,7 @@
 //! | [`Energyscape`] on a [`PolarGrid`] | `imaging` | `flow`, `detect`, anybody | `noctule/sonar/<name>/energyscape` |
 //! | [`RangeScan`] | `detect` | anybody | none (recordings carry it) |
 //! | [`RobotScan`] | `detect` | anybody | `noctule/scan` |
+//! | [`EgoMotionReport`] with [`Movers`] | `detect` | `control` (the movers), anybody | `noctule/ego_motion` |
 //! | [`Mask`], [`MaskTable`] | `flow`, once | `imaging` | none (`noctule masks` writes them) |
 //! | [`RowSums`] | `imaging` | `flow` | none |
 //! | [`Cues`] | `flow` | `control`, anybody | `noctule/cues` |
@@ -14,6 +15,7 @@
 //! | [`DaemonState`], [`GateState`], [`Reason`] | `safety` | anybody | `noctule/command`, `/platform`, `/health` |
 
 mod cues;
+mod ego_motion;
 mod energyscape;
 mod mask;
 mod ping;
@@ -23,6 +25,7 @@ mod status;
 mod velocity;
 
 pub use cues::{CoverageCue, Cues, LayerCue, NearestReflection, SensorSums, WALL_PEAKS_MAX, WallPeak, WallPeaks};
+pub use ego_motion::{EgoMotionReport, MOVERS_MAX, Mover, Movers};
 pub use energyscape::{Direction, Energyscape, PolarGrid};
 pub use mask::{Mask, MaskPurpose, MaskRow, MaskTable, NO_CELL, RowSums};
 pub use ping::{PingSet, RawPing, SENSORS_MAX, SampleFormat, Samples};

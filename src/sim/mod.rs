@@ -34,6 +34,7 @@ use crate::signal::{PingSet, SampleFormat, Samples, Velocity};
 use crate::time::Stamp;
 use echo::EchoMaker;
 use guidance::Guidance;
+use nalgebra::Vector2;
 use obstacles::Obstacles;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -46,6 +47,19 @@ use std::sync::Arc;
 const STEP_MAX_S: f64 = 0.01;
 /// Random places of the start zone that are tried before it counts as full.
 const START_TRIES: usize = 1000;
+
+/// What really moves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MoverTruth {
+    /// Its middle in the world.
+    pub centre_m: Vector2<f64>,
+    /// Its velocity in the world.
+    pub velocity_m_s: Vector2<f64>,
+    /// Its radius.
+    pub radius_m: f64,
+    /// Whether nothing stands between it and the robot's middle.
+    pub in_sight: bool,
+}
 
 /// One robot in one world.
 #[derive(Debug, Clone)]
@@ -123,7 +137,7 @@ impl Simulator {
             *out = self.empty_ping_set();
         }
         self.obstacles.move_to(&self.world, self.time_s);
-        self.echoes.place(&self.robot.pose, self.robot.velocity);
+        self.echoes.place(&self.robot.pose, self.robot.body_velocity());
         out.sequence = self.ping_count;
         out.emitted_at = emitted_at;
         out.present = std::array::from_fn(|sensor| sensor < sensor_count);
@@ -211,7 +225,28 @@ impl Simulator {
     /// True velocity of the robot.
     #[must_use]
     pub fn velocity(&self) -> Velocity {
-        self.robot.velocity
+        self.robot.body_velocity()
+    }
+
+    /// Lets the wheels slip: each brings this share of its turning to the floor, left and right; odometry does not know. What is not
+    /// between 0 and 1 counts as 1.
+    pub fn set_grip(&mut self, share: [f64; 2]) {
+        self.robot.grip = share.map(|share| if (0.0..=1.0).contains(&share) { share } else { 1.0 });
+    }
+
+    /// Where each mover is, how it moves and whether a line from the robot's middle to it is free.
+    pub fn movers(&self) -> impl Iterator<Item = MoverTruth> + '_ {
+        let here_m = self.robot.pose.position_m();
+        self.obstacles.movers().iter().map(move |circle| {
+            let offset_m = circle.centre_m - here_m;
+            let rim_m = here_m + offset_m * (1.0 - circle.radius_m / offset_m.norm().max(circle.radius_m));
+            MoverTruth {
+                centre_m: circle.centre_m,
+                velocity_m_s: circle.velocity_m_s,
+                radius_m: circle.radius_m,
+                in_sight: !self.obstacles.block(here_m, rim_m),
+            }
+        })
     }
 
     /// Pose and twist as the wheels report them, in the world's frame.

@@ -28,8 +28,11 @@ pub struct Odometry {
 pub(super) struct Robot {
     pub(super) params: RobotParams,
     pub(super) pose: Pose2,
+    /// As the wheels turn; the body moves like that unless they slip.
     pub(super) velocity: Velocity,
     pub(super) odometry: Odometry,
+    /// Share of its turning that each wheel brings to the floor: left, right.
+    pub(super) grip: [f64; 2],
     /// What each wheel's diameter is taken for, relative to the truth: left, right.
     wheel_scale: [f64; 2],
     /// Mounts of the sensors whose housings stick out of the disc.
@@ -46,6 +49,7 @@ impl Robot {
             pose: Pose2::default(),
             velocity: Velocity::ZERO,
             odometry: Odometry::default(),
+            grip: [1.0; 2],
             wheel_scale,
             outside,
         }
@@ -82,7 +86,7 @@ impl Robot {
     /// Returns the clearance of the pose that was tried; zero or less means contact. Out of a contact (a mover may have
     /// run into the robot) every motion that widens the gap is free.
     pub(super) fn advance(&mut self, dt_s: f64, obstacles: &Obstacles) -> f64 {
-        let tried = moved(&self.pose, self.velocity, dt_s);
+        let tried = moved(&self.pose, self.body_velocity(), dt_s);
         let clearance_m = self.clearance_m(&tried, obstacles);
         if clearance_m > 0.0 || clearance_m > self.clearance_m(&self.pose, obstacles) {
             self.pose = tried;
@@ -94,10 +98,20 @@ impl Robot {
         clearance_m
     }
 
+    /// How the body moves: that of the wheels, as far as they grip.
+    pub(super) fn body_velocity(&self) -> Velocity {
+        // Not a bit is to change while nothing slips.
+        if self.grip == [1.0; 2] { self.velocity } else { self.of_wheels(self.velocity, self.grip) }
+    }
+
     fn as_wheels_report(&self, velocity: Velocity) -> Velocity {
+        self.of_wheels(velocity, self.wheel_scale)
+    }
+
+    fn of_wheels(&self, velocity: Velocity, scale: [f64; 2]) -> Velocity {
         let half_track_m = TRACK_SHARE * self.params.radius_m;
-        let left = (velocity.linear_m_s - half_track_m * velocity.angular_rad_s) * self.wheel_scale[0];
-        let right = (velocity.linear_m_s + half_track_m * velocity.angular_rad_s) * self.wheel_scale[1];
+        let left = (velocity.linear_m_s - half_track_m * velocity.angular_rad_s) * scale[0];
+        let right = (velocity.linear_m_s + half_track_m * velocity.angular_rad_s) * scale[1];
         Velocity { linear_m_s: 0.5 * (left + right), angular_rad_s: 0.5 * (right - left) / half_track_m }
     }
 

@@ -160,7 +160,7 @@ fn daemon_counts(page: &mut Page, health: &Health) {
 
 fn sensor_health(page: &mut Page, health: &Health, sensors: &[String]) {
     let present = |index: usize| f64::from(u8::from(health.delivers(index)));
-    let families: [(&str, &str, &str, &dyn Fn(usize) -> f64); 4] = [
+    let families: [(&str, &str, &str, &dyn Fn(usize) -> f64); 6] = [
         ("noctule_sensor_present", "gauge", "1 when the sensor delivered in the newest ping set.", &present),
         ("noctule_bad_channels", "gauge", "Channels left out of the image.", &|index| {
             f64::from(health.bad_channel_count[index])
@@ -169,6 +169,15 @@ fn sensor_health(page: &mut Page, health: &Health, sensors: &[String]) {
         ("noctule_ping_gaps_total", "counter", "Pings that came after missing ones.", &|index| {
             health.gap_count[index] as f64
         }),
+        ("noctule_drift_alarms", "gauge", "What has drifted, as the bits of noctule/health; 0 is nothing.", &|index| {
+            f64::from(health.drift[index])
+        }),
+        (
+            "noctule_heard_speed_of_sound_m_s",
+            "gauge",
+            "Speed of sound that the direct path tells; 0 while it is not known.",
+            &|index| health.heard_speed_m_s[index],
+        ),
     ];
     for (name, kind, help, value) in families {
         page.family(name, kind, help);

@@ -1,10 +1,13 @@
 //! What several test files share: scenes with known content, the textbook imaging in f64, comparisons.
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
+pub mod backends;
+pub mod beamforming;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod lap;
 pub mod oracle;
+pub mod peaks;
 pub mod scenes;
 #[cfg(feature = "gpu")]
 pub mod validation;

@@ -4,7 +4,7 @@
 //! the plan it takes only what defines the task: filter taps of the PDM decimation and of the smoothing, and the
 //! frequencies at which the stages in between hand over.
 
-use super::scenes::{Case, SPEED_OF_SOUND_M_S, unit};
+use super::scenes::{Case, EMITTER_M, SPEED_OF_SOUND_M_S, unit};
 use noctule::imaging::params::Weighting;
 use noctule::imaging::plan::ImagingPlan;
 use noctule::signal::{MaskTable, NO_CELL, RowSums, Samples};
@@ -131,9 +131,16 @@ pub fn delay_and_sum(
 ) -> Complex {
     let frequency_hz = bin as f64 * plan.bin_step_hz;
     let aligned = |(channel, value): (usize, &Complex)| {
-        value.times(Complex::turn(-2.0 * PI * frequency_hz * earlier_s(case, sensor, channel, direction)))
+        value.times(Complex::turn(-2.0 * PI * frequency_hz * plane_wave_s(case, sensor, channel, direction)))
     };
     matched.iter().enumerate().map(aligned).fold(Complex::default(), Complex::plus)
+}
+
+/// By how much sooner than 2 r / c a microphone hears a point at r in a direction: the exact path, in metres.
+pub fn sooner_m(case: &Case, sensor: usize, channel: usize, direction: usize, range_m: f64, fault: Fault) -> f64 {
+    let point_m = unit(&case.directions[direction]) * range_m;
+    let emitter_m = if fault == Fault::NoEmitter { nalgebra::Vector3::zeros() } else { EMITTER_M };
+    2.0 * range_m - (point_m - emitter_m).norm() - (point_m - case.arrays[sensor][channel]).norm()
 }
 
 /// A fault planted into the oracle, which a comparison must notice.
@@ -156,6 +163,10 @@ pub enum Fault {
     RangeOffset,
     /// The envelope is of the beam's real part only.
     NoQuadrature,
+    /// Focused as if the emitter stood in the origin.
+    NoEmitter,
+    /// Not focused at all.
+    PlaneWave,
 }
 
 /// Stages 2 to 4 as a whole: the energyscape rows of `directions`, `[direction][range]`.
@@ -184,27 +195,71 @@ pub fn energyscape(
             Fault::LostMirror(lost) if lost == direction => case.directions.len() - 1 - direction,
             _ => direction,
         };
-        let mut beam = vec![Complex::default(); spectra.first().map_or(0, Vec::len)];
-        for (channel, spectrum) in spectra.iter().enumerate().filter(|(channel, _)| gains[*channel] != 0.0) {
-            let sign = if fault == Fault::DelaySign { 1.0 } else { -1.0 };
-            let delay_s = sign * earlier_s(case, sensor, channel, direction);
-            for (k, (sum, value)) in beam.iter_mut().zip(spectrum).enumerate() {
-                let phase = Complex::turn(2.0 * PI * (first_bin + k) as f64 * bin_hz * delay_s);
-                *sum = sum.plus(value.times(phase));
-            }
-        }
+        let ranges = plan.grid.range_count();
         if plan.sensors[sensor].hidden[direction] {
-            vec![0.0; plan.grid.range_count()]
-        } else {
-            envelope(plan, &beam, first_bin, bin_hz, fault)
+            return vec![0.0; ranges];
         }
+        let beam = |earlier_s: &dyn Fn(usize) -> f64| {
+            let used = spectra.iter().enumerate().filter(|(channel, _)| gains[*channel] != 0.0);
+            let mut beam = vec![Complex::default(); spectra.first().map_or(0, Vec::len)];
+            let sign = if fault == Fault::DelaySign { 1.0 } else { -1.0 };
+            for (channel, spectrum) in used {
+                steer(&mut beam, spectrum, first_bin, bin_hz, sign * earlier_s(channel));
+            }
+            beam
+        };
+        let mut row = Vec::new();
+        for (range_m, focused) in focused_blocks(plan).into_iter().filter(|_| fault != Fault::PlaneWave) {
+            let sooner_s = |channel| sooner_m(case, sensor, channel, direction, range_m, fault) / SPEED_OF_SOUND_M_S;
+            row.extend(envelope(plan, &beam(&sooner_s), first_bin, bin_hz, focused, fault));
+        }
+        let rest = row.len()..ranges;
+        row.extend(envelope(
+            plan,
+            &beam(&|channel| plane_wave_s(case, sensor, channel, direction)),
+            first_bin,
+            bin_hz,
+            rest,
+            fault,
+        ));
+        row
     });
     rows.flatten().collect()
 }
 
+/// By how much earlier than 2 r / c a plane wave is heard: by the emitter's place, too, unless focusing is off altogether.
+fn plane_wave_s(case: &Case, sensor: usize, channel: usize, direction: usize) -> f64 {
+    let emitter_m =
+        if case.params.focus_to_m == Some(0.0) { 0.0 } else { EMITTER_M.dot(&unit(&case.directions[direction])) };
+    earlier_s(case, sensor, channel, direction) + emitter_m / SPEED_OF_SOUND_M_S
+}
+
+/// The blocks of ranges that share a focus, each with the harmonic mean of its first and last range.
+pub fn focused_blocks(plan: &ImagingPlan) -> Vec<(f64, std::ops::Range<usize>)> {
+    let Some(focus) = &plan.focus else { return Vec::new() };
+    let range_m = |index: usize| plan.grid.range_first_m() + index as f64 * plan.grid.range_step_m();
+    let block = |block: &noctule::imaging::plan::focus::FocusBlock| {
+        let (near_m, far_m) = (range_m(block.first), range_m(block.first + block.len - 1));
+        (2.0 / (1.0 / near_m + 1.0 / far_m), block.first..block.first + block.len)
+    };
+    focus.blocks.iter().map(block).collect()
+}
+
+/// Adds a spectrum, delayed.
+fn steer(beam: &mut [Complex], spectrum: &[Complex], first_bin: usize, bin_hz: f64, delay_s: f64) {
+    let step = Complex::turn(2.0 * PI * bin_hz * delay_s);
+    for (block, (sums, values)) in beam.chunks_mut(64).zip(spectrum.chunks(64)).enumerate() {
+        let mut phase = Complex::turn(2.0 * PI * (first_bin + 64 * block) as f64 * bin_hz * delay_s);
+        for (sum, value) in sums.iter_mut().zip(values) {
+            *sum = sum.plus(value.times(phase));
+            phase = phase.times(step);
+        }
+    }
+}
+
 /// Band spectra of all channels, `[channel][bin]`, scaled so that the sum over bins is the analytic signal; their bin step
 /// and first bin.
-fn band_spectra(
+pub fn band_spectra(
     case: &Case,
     plan: &ImagingPlan,
     samples: &[Vec<f64>],
@@ -243,9 +298,16 @@ fn band_spectra(
 }
 
 /// Stage 4: magnitude of the analytic signal at the time of each range bin, smoothed with the plan's taps.
-fn envelope(plan: &ImagingPlan, beam: &[Complex], first_bin: usize, bin_hz: f64, fault: Fault) -> Vec<f64> {
+fn envelope(
+    plan: &ImagingPlan,
+    beam: &[Complex],
+    first_bin: usize,
+    bin_hz: f64,
+    ranges: std::ops::Range<usize>,
+    fault: Fault,
+) -> Vec<f64> {
     let half = plan.smoothing_taps.len() as i64 / 2;
-    let ranges = plan.grid.range_count() as i64;
+    let (first, end) = (ranges.start as i64, ranges.end as i64);
     let magnitude = |index: i64| {
         let offset = if fault == Fault::RangeOffset { 0.1 } else { 0.0 };
         let range_m = plan.grid.range_first_m() + (index as f64 + offset) * plan.grid.range_step_m();
@@ -263,9 +325,9 @@ fn envelope(plan: &ImagingPlan, beam: &[Complex], first_bin: usize, bin_hz: f64,
         scale * if fault == Fault::NoQuadrature { sum.re.abs() } else { sum.magnitude() }
     };
     if plan.smoothing_taps.is_empty() {
-        return (0..ranges).map(magnitude).collect();
+        return (first..end).map(magnitude).collect();
     }
-    let values: Vec<f64> = (-half..ranges + half).map(magnitude).collect();
+    let values: Vec<f64> = (first - half..end + half).map(magnitude).collect();
     let smooth = |window: &[f64]| plan.smoothing_taps.iter().zip(window).map(|(tap, x)| f64::from(*tap) * x).sum();
     values.windows(plan.smoothing_taps.len()).map(smooth).collect()
 }

@@ -59,20 +59,38 @@ impl Sweep {
     }
 }
 
-/// One reflector in the far field of a sensor: when its echo's first sample reaches the sensor's origin, and from where.
+/// Where the sensors of these scenes emit from.
+pub const EMITTER_M: Vector3<f64> = Vector3::new(0.0, 0.0, 0.06);
+
+/// One echo: a plane wave whose first sample reaches the sensor's origin at `time_s` from `direction`, or, where there is a point, what it
+/// throws back from the emitter to every microphone.
 #[derive(Debug, Clone, Copy)]
 pub struct Echo {
     pub amplitude: f64,
     pub time_s: f64,
     pub direction: Direction,
+    pub point_m: Option<Vector3<f64>>,
+}
+
+impl Echo {
+    /// The echo of a point at a range and a bearing.
+    pub fn of_point(amplitude: f64, range_m: f64, direction: Direction) -> Self {
+        let point_m = unit(&direction) * range_m;
+        Self { amplitude, time_s: 2.0 * range_m / SPEED_OF_SOUND_M_S, direction, point_m: Some(point_m) }
+    }
+
+    /// When its first sample reaches a microphone.
+    fn arrives_s(&self, position_m: &Vector3<f64>) -> f64 {
+        match self.point_m {
+            Some(point_m) => ((point_m - EMITTER_M).norm() + (point_m - position_m).norm()) / SPEED_OF_SOUND_M_S,
+            None => self.time_s - position_m.dot(&unit(&self.direction)) / SPEED_OF_SOUND_M_S,
+        }
+    }
 }
 
 /// What a microphone at `position_m` hears of `echoes` at a time.
 pub fn heard(sweep: &Sweep, echoes: &[Echo], position_m: &Vector3<f64>, time_s: f64) -> f64 {
-    let of_one = |echo: &Echo| {
-        let earlier_s = position_m.dot(&unit(&echo.direction)) / SPEED_OF_SOUND_M_S;
-        echo.amplitude * sweep.at(time_s - echo.time_s + earlier_s)
-    };
+    let of_one = |echo: &Echo| echo.amplitude * sweep.at(time_s - echo.arrives_s(position_m));
     echoes.iter().map(of_one).sum()
 }
 
@@ -147,7 +165,7 @@ impl Case {
                 weights: vec![1.0; positions_m.len()],
             },
             emission: Arc::clone(&emission),
-            emitter_m: Vector3::new(0.0, 0.0, 0.06),
+            emitter_m: EMITTER_M,
         };
         self.arrays.iter().enumerate().map(sensor).collect()
     }
@@ -181,10 +199,11 @@ impl Case {
                     azimuth_rad: random.uniform(-1.5, 1.5),
                     elevation_rad: random.uniform(-0.3, 0.3),
                 },
+                point_m: None,
             })
             .collect();
         let direct = Direction { azimuth_rad: 0.0, elevation_rad: 1.5 };
-        echoes.push(Echo { amplitude: 0.3, time_s: 1.7e-4, direction: direct });
+        echoes.push(Echo { amplitude: 0.3, time_s: 1.7e-4, direction: direct, point_m: None });
         echoes
     }
 

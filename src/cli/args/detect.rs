@@ -1,6 +1,6 @@
 //! `noctule detect` as it may be typed.
 
-use super::{ConfigChoice, ScenesArguments};
+use super::{ConfigChoice, MotionArguments, ScenesArguments, SeriesArguments};
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
 
@@ -14,7 +14,8 @@ const RUNS_MAX: u64 = 100_000;
     \"pose\": {\"x_m\": 1.3, \"y_m\": 3.0, \"heading_deg\": 0}, \"edge\": [[1, 3], [3, 3]]}' | noctule detect projection
   noctule detect edges office --plot edges.png
   noctule detect corridors --runs 5 --plot ways.png
-  noctule detect scenes --runs 5 --plot grid.png")]
+  noctule detect scenes --runs 5 --plot grid.png
+  noctule detect motion --runs 4 --plot drive.png")]
 pub struct DetectArguments {
     /// For all of them; each takes it after its name, too.
     #[command(flatten)]
@@ -51,6 +52,8 @@ Examples:
     Corridors(CorridorsArguments),
     /// Find round things on random maps with the virtual sonar ring, in one ping, over a second, and the way of paper 003.
     Scenes(ScenesArguments),
+    /// Drive simulated robots and tell their motion by echoes alone, slips of the wheels and movers, against the truth.
+    Motion(MotionArguments),
 }
 
 /// `detect projection`, `detect ring`.
@@ -107,15 +110,9 @@ pub struct CorridorsArguments {
     /// Number of corridors, with seeds from --seed upward.
     #[arg(short, long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..=RUNS_MAX))]
     pub runs: u64,
-    /// First seed: it decides corridor, obstacles, start and noise.
-    #[arg(short, long, value_name = "S", default_value_t = 1)]
-    pub seed: u64,
-    /// Runs at the same time; as many as there are cores without it.
-    #[arg(short, long, value_name = "J", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub jobs: Option<u16>,
-    /// Write table and runs as JSON.
-    #[arg(long, value_name = "F")]
-    pub json: Option<PathBuf>,
+    /// Seeds, threads, JSON.
+    #[command(flatten)]
+    pub series: SeriesArguments,
     /// Draw the ways of the first corridors, a row for each detector.
     #[arg(long, value_name = "F.png")]
     pub plot: Option<PathBuf>,

@@ -1,5 +1,6 @@
 //! `noctule detect scenes` as it may be typed.
 
+use super::SeriesArguments;
 use clap::Args;
 use std::path::PathBuf;
 
@@ -28,15 +29,9 @@ pub struct ScenesArguments {
     /// Number of scenes, with seeds from --seed upward.
     #[arg(short, long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=RUNS_MAX))]
     pub runs: u64,
-    /// First seed: it decides things, start, noise, wheels and gyro.
-    #[arg(short, long, value_name = "S", default_value_t = 1)]
-    pub seed: u64,
-    /// Scenes at the same time; as many as there are cores without it.
-    #[arg(short, long, value_name = "J", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub jobs: Option<u16>,
-    /// Write table and scenes as JSON.
-    #[arg(long, value_name = "F")]
-    pub json: Option<PathBuf>,
+    /// Seeds, threads, JSON.
+    #[command(flatten)]
+    pub series: SeriesArguments,
     /// Draw the paper's experiment: the grid after one second, objects, truth, and a way by A*.
     #[arg(long, value_name = "F.png")]
     pub plot: Option<PathBuf>,

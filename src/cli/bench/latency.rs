@@ -11,6 +11,7 @@ use super::super::{Failure, exit};
 use super::hop;
 use super::place::{Place, not_measured};
 use super::quantiles::Quantiles;
+use crate::cli::series::cores;
 use crate::config::Config;
 use crate::io::wire::message::VelocityCommand;
 use crate::io::wire::telemetry::{Health, PlatformVelocity};
@@ -64,7 +65,7 @@ pub fn latency(config: &Config, arguments: &BenchArguments) -> Result<(), Failur
         let machine = super::machine(config);
         return print_line(&json!({"machine": machine, "latency": paths, "transport": hops}).to_string());
     }
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let cores = cores();
     print_line(&format!("times in ms; busy: {cores} other threads that never wait"))?;
     let head = ["p50", "p99", "p99.9", "max"];
     print_line(&format!(
@@ -117,7 +118,7 @@ struct Busy(Arc<AtomicBool>);
 impl Busy {
     fn start() -> Self {
         let stop = Arc::new(AtomicBool::new(false));
-        for _ in 0..std::thread::available_parallelism().map_or(1, std::num::NonZero::get) {
+        for _ in 0..cores() {
             let stop = Arc::clone(&stop);
             std::thread::spawn(move || {
                 let mut value = 1.0_f64;

@@ -3,6 +3,7 @@
 //! In: nothing. Out: multiply-adds a second of a single-precision matrix product on all cores, bytes a second of copying,
 //! the peak of this process's memory. Never decides anything.
 
+use crate::cli::series::cores;
 use nalgebra::DMatrix;
 use std::time::{Duration, Instant};
 
@@ -26,7 +27,7 @@ impl Rates {
     /// Measures both; takes about a second.
     #[must_use]
     pub fn measure() -> Self {
-        let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        let cores = cores();
         Self { multiply_adds_hz: on_all(cores, products), memory_bytes_s: on_all(cores, move |end| copies(end, cores)) }
     }
 

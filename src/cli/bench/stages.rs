@@ -136,7 +136,7 @@ pub fn measure(config: &Config, count: usize, prefer: Prefer, iterations: u32) -
 }
 
 struct Times {
-    stages: [Vec<f64>; 5],
+    stages: [Vec<f64>; Stage::ALL.len()],
     image: Vec<f64>,
     total: Vec<f64>,
 }

@@ -4,8 +4,9 @@
 //! [`crate::service::corridor`].
 
 use crate::cli::args::{ConfigChoice, CorridorsArguments};
-use crate::cli::output::{NewFile, print_line, progress, write_json, write_picture};
+use crate::cli::output::{print_line, progress, write_json, write_picture};
 use crate::cli::run::{prefer_pcm, service_failure};
+use crate::cli::series::{check_places, check_seeds, cores};
 use crate::cli::{Failure, exit};
 use crate::config::Config;
 use crate::detect::FollowerState;
@@ -13,7 +14,7 @@ use crate::io::plot::{Doing, EdgePanel, edge_panels};
 use crate::service::corridor::{Corridor, CorridorPoint, CorridorProgramme, CorridorRun, CorridorSummary, Entry};
 use crate::service::trial::TrialRig;
 use serde_json::{Value, json};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The robot that is driven without `--config`.
 const P3DX: &str = include_str!("../../../fixtures/config/p3dx.toml");
@@ -30,10 +31,7 @@ pub(super) fn corridors(arguments: &CorridorsArguments, choice: &ConfigChoice) -
         None => Config::parse(P3DX, Path::new("p3dx.toml")).map_err(|error| Failure::new(exit::INTERNAL, error))?,
     };
     prefer_pcm(&mut config);
-    if arguments.seed.checked_add(arguments.runs - 1).is_none() {
-        let message = format!("--seed: found {}, allowed: a seed with room for --runs above it", arguments.seed);
-        return Err(Failure::new(exit::USAGE, message));
-    }
+    check_seeds(arguments.series.seed, arguments.runs)?;
     let params = config.detect.projection.clone();
     let rig = TrialRig::new(config).map_err(|error| service_failure(&error))?;
     let world = arguments.world.as_deref().map(crate::cli::simulate::choice::world).transpose()?;
@@ -44,16 +42,18 @@ pub(super) fn corridors(arguments: &CorridorsArguments, choice: &ConfigChoice) -
         let message = format!("{}: found no waypoints, allowed: a world with waypoints", path.display());
         return Err(Failure::new(exit::DATA, message));
     }
-    // Long work should not end at a place that cannot be written to.
-    for path in [&arguments.json, &arguments.plot].into_iter().flatten() {
-        drop(NewFile::create(path)?);
-    }
+    check_places([&arguments.series.json, &arguments.plot].into_iter().flatten().map(PathBuf::as_path))?;
     let entries = Entry::all(&params);
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let jobs = arguments.jobs.map_or(cores, usize::from);
+    let jobs = arguments.series.jobs.map_or_else(cores, usize::from);
     let runs_each = if corridor.is_some() { 1 } else { arguments.runs };
-    let programme =
-        CorridorProgramme { rig: &rig, entries: &entries, corridor, first_seed: arguments.seed, runs: runs_each, jobs };
+    let programme = CorridorProgramme {
+        rig: &rig,
+        entries: &entries,
+        corridor,
+        first_seed: arguments.series.seed,
+        runs: runs_each,
+        jobs,
+    };
     let bar = progress(entries.len() as u64 * runs_each, "driving");
     let runs = programme.drive(&mut |done| bar.set_position(done));
     bar.finish_and_clear();
@@ -61,7 +61,7 @@ pub(super) fn corridors(arguments: &CorridorsArguments, choice: &ConfigChoice) -
     let rows: Vec<CorridorSummary> =
         entries.iter().zip(&runs).map(|(entry, runs)| CorridorSummary::of(&entry.name, runs.iter())).collect();
     table(&rows).iter().try_for_each(|line| print_line(line))?;
-    if let Some(path) = &arguments.json {
+    if let Some(path) = &arguments.series.json {
         write_json(path, &to_json(&programme, &rows, &runs))?;
     }
     if let Some(path) = &arguments.plot {

@@ -4,8 +4,9 @@
 //! [`crate::service::ring_scenes`].
 
 use crate::cli::args::{ConfigChoice, ScenesArguments};
-use crate::cli::output::{NewFile, print_line, progress, write_json, write_picture};
+use crate::cli::output::{print_line, progress, write_json, write_picture};
 use crate::cli::run::service_failure;
+use crate::cli::series::{check_places, check_seeds, cores};
 use crate::cli::{Failure, exit};
 use crate::detect::route::{RouteOptions, route};
 use crate::io::plot::{PlottedGrid, PlottedObject, grid_map};
@@ -13,6 +14,7 @@ use crate::service::ring_scenes::score::EXPECTED_SHARES;
 use crate::service::ring_scenes::{self, Method, RingScenes, Scene, SceneRun, Score, Scores};
 use nalgebra::Vector2;
 use serde_json::{Value, json};
+use std::path::PathBuf;
 
 /// Where the way of the picture leads: between the things at the lower left, to the corner.
 const GOAL_M: [f64; 2] = [0.2, 0.2];
@@ -24,14 +26,8 @@ const WINDOW_M: [[f64; 2]; 2] = [[-0.1, -0.1], [2.1, 2.1]];
 /// # Errors
 /// 2 for seeds that run out, 73, 74 and 77 for what cannot be written, 78 for a configuration that cannot be used.
 pub fn scenes(arguments: &ScenesArguments, choice: &ConfigChoice) -> Result<(), Failure> {
-    if arguments.seed.checked_add(arguments.runs - 1).is_none() {
-        let message = format!("--seed: found {}, allowed: a seed with room for --runs above it", arguments.seed);
-        return Err(Failure::new(exit::USAGE, message));
-    }
-    for path in [&arguments.json, &arguments.plot].into_iter().flatten() {
-        // What cannot be written is better known before the work than after it.
-        drop(NewFile::create(path)?);
-    }
+    check_seeds(arguments.series.seed, arguments.runs)?;
+    check_places([&arguments.series.json, &arguments.plot].into_iter().flatten().map(PathBuf::as_path))?;
     let config = match choice.config {
         Some(_) => crate::cli::config::load(choice)?,
         None => ring_scenes::config().map_err(|error| service_failure(&error))?,
@@ -41,27 +37,23 @@ pub fn scenes(arguments: &ScenesArguments, choice: &ConfigChoice) -> Result<(), 
         return Err(Failure::new(exit::CONFIG, message));
     }
     let harness = RingScenes::new(config).map_err(|error| service_failure(&error))?;
-    let jobs = arguments.jobs.map_or_else(cores, usize::from);
+    let jobs = arguments.series.jobs.map_or_else(cores, usize::from);
     let bar = progress(arguments.runs, "scenes");
-    let scored = harness.run(arguments.seed, arguments.runs, jobs, &mut |done| bar.set_position(done));
+    let scored = harness.run(arguments.series.seed, arguments.runs, jobs, &mut |done| bar.set_position(done));
     bar.finish_and_clear();
     let scored = scored.map_err(|error| service_failure(&error))?;
     let sums = ring_scenes::sum(scored.iter().map(|(_, scores)| scores));
     table(&sums).iter().try_for_each(|line| print_line(line))?;
-    if let Some(path) = &arguments.json {
+    if let Some(path) = &arguments.series.json {
         write_json(path, &record(&scored, &sums))?;
     }
     if let Some(path) = &arguments.plot {
         let mut worker = harness.worker().map_err(|error| service_failure(&error))?;
-        let scene = Scene::paper(arguments.seed);
+        let scene = Scene::paper(arguments.series.seed);
         let run = worker.run(&scene).map_err(|error| service_failure(&error))?;
         write_picture(path, &picture(&harness, &scene, &run))?;
     }
     Ok(())
-}
-
-fn cores() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// The table, a line a method.

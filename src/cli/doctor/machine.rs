@@ -1,6 +1,7 @@
 //! How well this machine keeps time: cores, governor, clock, limits of priority and memory.
 
 use super::Line;
+use crate::cli::series;
 use rustix::process::{Resource, getrlimit};
 use std::collections::BTreeMap;
 
@@ -19,7 +20,7 @@ pub(super) fn look(lines: &mut Vec<Line>) {
 
 fn cores() -> Line {
     const ABOUT: &str = "cores";
-    let count = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let count = series::cores();
     let found = format!("{count} usable");
     if count >= CORES_MIN {
         Line::ok(ABOUT, found)

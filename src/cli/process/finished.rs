@@ -84,7 +84,7 @@ pub fn settings(
     // A checksum takes anything; formatting into it cannot fail.
     let _ = write!(
         sum,
-        "{} {backend} {png} {format:?} {:?} {:?} {} {:?} {:?} {:?} {:?} {:?} {:?} {directions:?} {hidden:?}",
+        "{} {backend} {png} {format:?} {:?} {:?} {} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {directions:?} {hidden:?}",
         env!("CARGO_PKG_VERSION"),
         config.recording,
         config.emission,
@@ -94,6 +94,11 @@ pub fn settings(
         imaging.range_step_m,
         imaging.weighting,
         imaging.smoothing_hz,
+        imaging.focus_to_m,
+        imaging.beamformer,
+        imaging.multiply_order,
+        imaging.coherence,
+        imaging.apodization,
         sensors[sensor_index],
     );
     Ok(format!("{:08x}-{}", sum.hasher.finalize(), sum.len))

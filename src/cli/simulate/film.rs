@@ -27,6 +27,7 @@ pub(super) fn film(proving: &Proving) -> Result<Picture, Failure> {
         seed: proving.arguments.seed,
         prefer: proving.prefer,
         losses: entrant.losses.clone(),
+        slips: Vec::new(),
     };
     let sensors = &entrant.rig.setup().sensors;
     let mut kept: Vec<(String, Energyscape)> = Vec::new();

@@ -3,6 +3,7 @@
 //! In: a look. Out: sentences. A robot that nobody armed is well: that is told as the reason why it stands, not as a finding.
 
 use super::Look;
+use crate::calibration::Alarms;
 use crate::signal::{DaemonState, GateState, Reason};
 
 /// Commands and reports older than this are no longer those of a living process.
@@ -108,6 +109,15 @@ fn pings(look: &Look, all: &mut Vec<Finding>) {
             all.push(finding(
                 format!("{} channels of sensor {name} are left out", health.bad_channel_count[index]),
                 "record a ping and run `noctule check` on it: it names the channels",
+            ));
+        }
+    }
+    for (index, sensor) in look.config.sensor.iter().enumerate() {
+        let alarms = Alarms::from_bits(health.drift[index]);
+        if !alarms.is_empty() {
+            all.push(finding(
+                format!("sensor {} has drifted: {alarms}", sensor.name),
+                "measure it: record some pings and run `noctule calibrate` on them; set the temperature of the air",
             ));
         }
     }

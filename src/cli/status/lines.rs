@@ -2,7 +2,9 @@
 
 use super::Look;
 use super::advice::{self, Finding};
+use crate::calibration::Alarms;
 use crate::io::wire::message::{backend_name, layer_name};
+use crate::sensor::air;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -115,12 +117,23 @@ impl Look<'_> {
             );
             line(text, "sensor", &told);
         }
+        self.air_line(text);
         let backend = backend_name(health.backend).unwrap_or("?");
         let lost = match health.gpu_loss_count {
             0 => String::new(),
             count => format!(", GPU lost {count} times"),
         };
         line(text, "backend", &format!("{backend}, {}{lost}", health.adapter_name()));
+    }
+
+    /// What the direct paths tell of the air.
+    fn air_line(&self, text: &mut String) {
+        let Some(health) = self.heard.health.filter(|health| health.drift_looks > 0) else { return };
+        let told = self.config.sensor.iter().zip(health.heard_speed_m_s).filter(|(_, speed_m_s)| *speed_m_s > 0.0);
+        let told = told.map(|(sensor, speed_m_s)| {
+            format!("{}: {speed_m_s:.1} m/s, {:.1} C", sensor.name, air::air_temperature_c(speed_m_s))
+        });
+        line(text, "air", &format!("as the sensors hear it: {}", told.collect::<Vec<_>>().join("; ")));
     }
 
     fn sensors_json(&self) -> Vec<Value> {
@@ -136,6 +149,8 @@ impl Look<'_> {
                     "channels_left_out": health.map(|health| health.bad_channel_count[index]),
                     "pings_rejected": health.map(|health| health.rejected_count[index]),
                     "gaps": health.map(|health| health.gap_count[index]),
+                    "heard_speed_m_s": health.map(|health| health.heard_speed_m_s[index]).filter(|speed_m_s| *speed_m_s > 0.0),
+                    "drift": health.map(|health| Alarms::from_bits(health.drift[index]).to_string()),
                 })
             })
             .collect()

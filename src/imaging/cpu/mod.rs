@@ -1,4 +1,4 @@
-//! CPU twin: the five stages in order, on a few threads, with the widest vector instructions the processor has.
+//! CPU twin: the stages in order, on a few threads, with the widest vector instructions the processor has.
 //!
 //! In: raw pings and the channels' gains. Out: energyscapes and masked sums, bit-identical for any number of threads, and findings on
 //! channels. Every stage computes one vector of channels or of directions at a time, so that no value changes lanes but where samples
@@ -6,13 +6,17 @@
 //! [`CpuBackend::open`]. Never says what a finding means and never chooses between backends.
 
 mod aligned;
+mod channel_signal;
+mod combine;
 mod delay_and_sum;
 mod demodulate;
 mod envelope;
+mod focus;
 mod inspect;
 mod judge;
 mod masked_energy;
 mod matched_filter;
+mod minimum_variance;
 mod pool;
 mod shared_image;
 mod shares;
@@ -23,7 +27,7 @@ mod work;
 
 pub use simd::InstructionSet;
 
-use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput};
+use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput, StageTimes};
 use super::channels::{ChannelReport, WordFindings};
 use super::plan::ImagingPlan;
 use crate::signal::{MaskTable, PingSet, SENSORS_MAX, SampleFormat};
@@ -42,7 +46,7 @@ pub struct CpuBackend {
     work: Arc<Work>,
     pool: Pool,
     report: BackendReport,
-    stage_times_ns: [u64; 5],
+    stage_times_ns: StageTimes,
 }
 
 impl CpuBackend {
@@ -83,7 +87,7 @@ impl CpuBackend {
             reason: "the CPU backend was asked for".to_owned(),
             threads,
         };
-        Ok(Self { work, pool, report, stage_times_ns: [0; 5] })
+        Ok(Self { work, pool, report, stage_times_ns: StageTimes::default() })
     }
 
     /// Judges the channels of every ping present, as [`ChannelReport::judge`] does, on all threads.
@@ -140,7 +144,7 @@ impl CpuBackend {
     }
 
     fn stages(&mut self, last: Stage) -> Result<(), BackendError> {
-        self.stage_times_ns = [0; 5];
+        self.stage_times_ns = StageTimes::default();
         let mut start = Instant::now();
         let mut lap_ns = || {
             let now = Instant::now();
@@ -157,9 +161,8 @@ impl CpuBackend {
         }
         if last >= Stage::Envelope {
             self.work.beam_times_ns.iter().for_each(|time| time.store(0, Ordering::Relaxed));
-            self.phase(Phase::Beams)?;
-            if !self.work.finish_images() {
-                return Err(BackendError::Cpu("two threads wrote the same row of an image".to_owned()));
+            if self.work.plan.has_plane_waves() {
+                self.phase(Phase::Beams)?;
             }
             // Two stages in one phase: its time in the proportion of their shares.
             let [beams, envelopes] = [0, 1].map(|stage| self.work.beam_times_ns[stage].load(Ordering::Relaxed));
@@ -167,6 +170,14 @@ impl CpuBackend {
             let beams_ns = (phase_ns as f64 * beams as f64 / (beams + envelopes).max(1) as f64) as u64;
             self.stage_times_ns[Stage::DelayAndSum as usize] = beams_ns;
             self.stage_times_ns[Stage::Envelope as usize] = phase_ns - beams_ns;
+            if last >= Stage::Focus && self.work.plan.focus.is_some() {
+                self.phase(Phase::Signals)?;
+                self.phase(Phase::Focus)?;
+                self.stage_times_ns[Stage::Focus as usize] = lap_ns();
+            }
+            if !self.work.finish_images() {
+                return Err(BackendError::Cpu("two threads wrote the same row of an image".to_owned()));
+            }
         }
         if last >= Stage::MaskedEnergy {
             self.phase(Phase::Rows)?;
@@ -267,7 +278,7 @@ impl Backend for CpuBackend {
             }
             Stage::MatchedFilter => StageOutput::Complex(self.work.spectra_of(sensor_index)),
             Stage::DelayAndSum => StageOutput::Complex(self.work.beams_of(sensor_index)),
-            Stage::Envelope => StageOutput::Real(work::reading(&self.work.images[sensor_index]).clone()),
+            Stage::Envelope | Stage::Focus => StageOutput::Real(work::reading(&self.work.images[sensor_index]).clone()),
             Stage::MaskedEnergy => {
                 self.work.copy_sums(&mut image.sums);
                 StageOutput::Sums(image.sums.clone())
@@ -275,7 +286,7 @@ impl Backend for CpuBackend {
         })
     }
 
-    fn stage_times_ns(&self) -> [u64; 5] {
+    fn stage_times_ns(&self) -> StageTimes {
         self.stage_times_ns
     }
 

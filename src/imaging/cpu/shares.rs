@@ -3,9 +3,11 @@
 //! In and out: the buffers of [`Work`]. Pieces are taken as they come; each is computed alone, so the result does not depend on who
 //! computes it. The arithmetic is in the stages' files.
 
+use super::channel_signal::SignalTask;
 use super::delay_and_sum::BeamTask;
 use super::demodulate::DemodulateTask;
 use super::envelope::EnvelopeTask;
+use super::focus::FocusTask;
 use super::judge::JudgeTask;
 use super::masked_energy::RowTask;
 use super::matched_filter::{BandPassTask, SpectrumTask};
@@ -13,6 +15,7 @@ use super::tile::{Pcm, TileTask};
 use super::work::{BLOCKS_MAX, Group, Job, Piece, Scratch, Work, locked, reading, writing};
 use super::{pool, simd};
 use crate::imaging::channels;
+use crate::imaging::plan::combine::Scale;
 use crate::signal::{RowSums, SENSORS_MAX, Samples};
 use std::ops::Range;
 use std::sync::atomic::Ordering;
@@ -27,12 +30,22 @@ pub(super) enum Phase {
     BandPass,
     Spectrum,
     Beams,
+    Signals,
+    Focus,
     Rows,
 }
 
 impl Phase {
-    const ALL: [Phase; 6] =
-        [Phase::Judge, Phase::Demodulate, Phase::BandPass, Phase::Spectrum, Phase::Beams, Phase::Rows];
+    const ALL: [Phase; 8] = [
+        Phase::Judge,
+        Phase::Demodulate,
+        Phase::BandPass,
+        Phase::Spectrum,
+        Phase::Beams,
+        Phase::Signals,
+        Phase::Focus,
+        Phase::Rows,
+    ];
 }
 
 /// Most lanes of a vector.
@@ -49,6 +62,14 @@ impl Work {
             Phase::BandPass => self.take_tasks(self.filtered.len(), |index| self.band_pass(&job, index, scratch)),
             Phase::Spectrum => self.take_tasks(self.transformed.len(), |index| self.spectrum(&job, index, scratch)),
             Phase::Beams => self.beams_share(&job, scratch),
+            Phase::Signals => self.take_tasks(self.signals.len(), |index| self.channel_signal(&job, index, scratch)),
+            Phase::Focus => {
+                let directions = self.plan.grid.direction_count();
+                let groups = &self.focus_groups;
+                self.take_tasks(groups.len() * directions, |index| {
+                    self.focus(&job, &groups[index / directions], index % directions, scratch);
+                });
+            }
             Phase::Rows => self.take_tasks(self.row_pieces.len(), |index| self.sum_rows(&job, index, scratch)),
         }
     }
@@ -157,7 +178,7 @@ impl Work {
             let (first, outputs) = (from.range.start, &reading(band)[..]);
             simd::spectrum(self.set, SpectrumTask::Place { transform, first, outputs, values });
         }
-        let gains = &job.gains[piece.sensor][piece.block];
+        let gains = &job.gains[piece.sensor][piece.block * self.lanes..][..self.lanes];
         let spectrum = &mut writing(&self.spectra[index])[..];
         simd::spectrum(self.set, SpectrumTask::Apply { transform, plan: &self.plan, gains, values, spectrum });
     }
@@ -277,6 +298,74 @@ impl Work {
                 EnvelopeTask { transform: &self.inverse, taps, values, square, rows, range_count },
             );
         }
+    }
+
+    fn channel_signal(&self, job: &Job, index: usize, scratch: &mut Scratch) {
+        let (Some(focus), Some(transform)) = (&self.plan.focus, &self.to_signal) else { return };
+        if !job.active[self.transformed[index].sensor] {
+            return;
+        }
+        let task = SignalTask {
+            focus,
+            transform,
+            first_bin: self.plan.first_bin,
+            spectrum: &reading(&self.spectra[index]),
+            values: &mut scratch.transforms[..transform.buffer_len(self.lanes)],
+            square: &mut scratch.square,
+            signals: &mut writing(&self.signals[index]),
+        };
+        simd::channel_signal(self.set, task);
+    }
+
+    /// The focused cells of one direction of the sensors of a group.
+    fn focus(&self, job: &Job, group: &[usize], direction: usize, scratch: &mut Scratch) {
+        let Some(focus) = &self.plan.focus else { return };
+        let mut rows = [const { None }; SENSORS_MAX];
+        let mut guards = [const { None }; BLOCKS_MAX];
+        let mut active = 0;
+        for sensor in group.iter().filter(|sensor| job.active[**sensor]) {
+            let Some(mut row) = self.drafts[*sensor].row(direction) else {
+                self.conflict.store(true, Ordering::Release);
+                continue;
+            };
+            if self.plan.sensors[*sensor].hidden[direction] {
+                row[..focus.range_count].fill(0.0);
+                continue;
+            }
+            rows[active] = Some((*sensor, row));
+            active += 1;
+        }
+        if active == 0 {
+            return;
+        }
+        let channel_count = self.plan.sensors[group[0]].channel_count;
+        let blocks = channel_count.div_ceil(self.lanes);
+        for (index, guard) in guards[..blocks * active].iter_mut().enumerate() {
+            let Some((sensor, _)) = &rows[index % active] else { continue };
+            let ours = |piece: &Piece| piece.sensor == *sensor && piece.block == index / active;
+            *guard = self.transformed.iter().position(ours).map(|index| reading(&self.signals[index]));
+        }
+        let mut signals: [&[f32]; BLOCKS_MAX] = [&[]; BLOCKS_MAX];
+        for (signal, guard) in signals.iter_mut().zip(&guards) {
+            *signal = guard.as_ref().map_or(&[], |guard| &guard[..]);
+        }
+        let mut gains: [(&[f32], Scale); SENSORS_MAX] = [(&[], Scale::default()); SENSORS_MAX];
+        for (gains, row) in gains.iter_mut().zip(&rows) {
+            if let Some((sensor, _)) = row {
+                *gains = (&job.gains[*sensor][..channel_count], job.scales[*sensor]);
+            }
+        }
+        let mut rows = rows.map(|row| row.map(|(_, row)| row));
+        let task = FocusTask {
+            focus,
+            sensor: group[0],
+            direction,
+            signals: &signals[..blocks * active],
+            gains: &gains[..active],
+            scratch: &mut scratch.readings,
+            rows: &mut rows[..active],
+        };
+        simd::focus(self.set, task);
     }
 
     fn sum_rows(&self, job: &Job, index: usize, scratch: &mut Scratch) {

@@ -10,9 +10,11 @@ mod x86;
 
 pub(super) use plain::Plain;
 
+use super::channel_signal::{self, SignalTask};
 use super::delay_and_sum::{self, BeamTask};
 use super::demodulate::{self, DemodulateTask};
 use super::envelope::{self, EnvelopeTask};
+use super::focus::{self, FocusTask};
 use super::judge::{self, JudgeTask};
 use super::masked_energy::{self, RowTask};
 use super::matched_filter::{self, BandPassTask, SpectrumTask};
@@ -199,6 +201,14 @@ dispatch!(
 dispatch!(
     /// Beams to rows of the image, see [`envelope::envelope`].
     envelope, envelope::envelope, EnvelopeTask<'_, '_>
+);
+dispatch!(
+    /// Channels to their signals, see [`channel_signal::channel_signal`].
+    channel_signal, channel_signal::channel_signal, SignalTask<'_>
+);
+dispatch!(
+    /// Signals to near cells of the image, see [`focus::focus`].
+    focus, focus::focus, FocusTask<'_, '_>
 );
 dispatch!(
     /// Sums over a row of the mask table, see [`masked_energy::masked_energy`].

@@ -5,14 +5,17 @@
 //! the stages' files.
 
 use super::aligned::Aligned;
+use super::channel_signal::signals_len;
 use super::delay_and_sum::{self, Fold, Steering};
 use super::demodulate::{BitFilter, WORD_CHANNELS};
+use super::focus;
 use super::masked_energy::RowRuns;
 use super::shared_image::SharedImage;
 use super::simd::InstructionSet;
 use super::transform::Transform;
 use crate::imaging::channels::{ChannelFinding, WORDS_OVERLAP, WordFindings};
-use crate::imaging::plan::ImagingPlan;
+use crate::imaging::plan::combine::Scale;
+use crate::imaging::plan::{FocusPlan, ImagingPlan};
 use crate::signal::{MaskTable, RowSums, SENSORS_MAX, SampleFormat, Samples};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -55,8 +58,10 @@ pub(super) struct Job {
     pub active: [bool; SENSORS_MAX],
     /// Their samples, lent for the time of the job.
     pub samples: [Option<Arc<Samples>>; SENSORS_MAX],
-    /// `[sensor][block]` of `[lane]`.
-    pub gains: Vec<Vec<Aligned>>,
+    /// `[sensor][channel]`, zeros up to whole blocks.
+    pub gains: Vec<Aligned>,
+    /// What goes with them where cells are combined one by one.
+    pub scales: [Scale; SENSORS_MAX],
 }
 
 /// Scratch of one thread.
@@ -66,6 +71,8 @@ pub(super) struct Scratch {
     /// A transform of a block of channels, or those of the beams.
     pub transforms: Aligned,
     pub phases: Aligned,
+    /// Where focusing reads the channels.
+    pub readings: Aligned,
     pub square: Aligned,
     pub energies: Aligned,
 }
@@ -102,6 +109,11 @@ pub(super) struct Work {
     pub transformed: Vec<Piece>,
     /// `[piece of transformed]` of `[bin][re, im][lane]`.
     pub spectra: Vec<RwLock<Aligned>>,
+    /// `[piece of transformed]` of `[lane][row][re, im][sample]`; the transform that makes them. Nothing where no range is focused.
+    pub signals: Vec<RwLock<Aligned>>,
+    pub to_signal: Option<Transform>,
+    /// Sensors of one geometry together.
+    pub focus_groups: Vec<Vec<usize>>,
     /// `[sensor]` of `[direction][range]`: being written, and finished.
     pub drafts: Vec<SharedImage>,
     pub images: Vec<RwLock<Vec<f32>>>,
@@ -166,6 +178,19 @@ fn groups(plan: &ImagingPlan, lanes: usize, threads: usize) -> Vec<Group> {
     sensors().filter(|&sensor| plan.sensors[sensor].steering_of == sensor).map(group).collect()
 }
 
+/// Sensors that are focused alike.
+fn focus_groups(plan: &ImagingPlan) -> Vec<Vec<usize>> {
+    let Some(focus) = &plan.focus else { return Vec::new() };
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for (sensor, geometry) in focus.sensors.iter().enumerate() {
+        match groups.iter_mut().find(|group| focus.sensors[group[0]] == *geometry) {
+            Some(group) => group.push(sensor),
+            None => groups.push(vec![sensor]),
+        }
+    }
+    groups
+}
+
 fn fold(plan: &ImagingPlan, inverse: &Transform) -> Fold {
     let len = plan.inverse_len;
     let place = |index: usize| inverse.place((plan.first_bin + index) % len) as u32;
@@ -174,6 +199,26 @@ fn fold(plan: &ImagingPlan, inverse: &Transform) -> Fold {
         fresh: len,
         gaps: (plan.bin_count..len.max(plan.bin_count)).map(place).collect(),
         len,
+    }
+}
+
+fn scratch(
+    plan: &ImagingPlan,
+    lanes: usize,
+    transform_len: usize,
+    bit_filter: &BitFilter,
+    row_runs: &RowRuns,
+) -> Scratch {
+    let samples = (BAND_PIECE - 1) * plan.band_decimation + plan.band_taps.len();
+    let pdm = plan.format == SampleFormat::Pdm;
+    Scratch {
+        tile: Aligned::zeros(samples * lanes),
+        windows: vec![[0; WORD_CHANNELS]; if pdm { bit_filter.window_count(PDM_PIECE) } else { 0 }],
+        transforms: Aligned::zeros(transform_len),
+        phases: Aligned::zeros(delay_and_sum::scratch_len(channels_max(plan), lanes)),
+        readings: Aligned::zeros(focus::scratch_len(channels_max(plan), lanes)),
+        square: Aligned::zeros(lanes * lanes),
+        energies: Aligned::zeros(row_runs.scratch_len()),
     }
 }
 
@@ -195,7 +240,12 @@ impl Work {
         let transformed = pieces(&plan, blocks, plan.bin_count, plan.bin_count);
         let zeros = |len: usize| RwLock::new(Aligned::zeros(len));
         let pcm = |piece: &Piece| zeros(bit_filter.padded(piece.range.len()) * blocks(piece.sensor) * lanes);
-        let gains = |sensor: usize| (0..blocks(sensor)).map(|_| Aligned::zeros(lanes)).collect();
+        let to_signal = plan.focus.as_ref().map(|focus| Transform::new(focus.signal_len));
+        let signals = |focus: &FocusPlan| transformed.iter().map(|_| zeros(signals_len(focus, lanes))).collect();
+        let longest = to_signal.as_ref().map_or(0, |transform| transform.buffer_len(lanes));
+        let beams = 2 * sensors * inverse.buffer_len(lanes);
+        let transform_len = beams.max(forward.buffer_len(lanes)).max(longest);
+        let gains = |sensor: usize| Aligned::zeros(blocks(sensor) * lanes);
         Self {
             lanes,
             set,
@@ -208,29 +258,22 @@ impl Work {
                 active: [false; SENSORS_MAX],
                 samples: [const { None }; SENSORS_MAX],
                 gains: (0..sensors).map(gains).collect(),
+                scales: [Scale::default(); SENSORS_MAX],
             }),
             findings: judged.iter().map(|_| Mutex::new(ChannelFinding::Good)).collect(),
             word_findings: judged.iter().map(|_| Mutex::new(WordFindings::NONE)).collect(),
             pcm: demodulated.iter().map(pcm).collect(),
             band: filtered.iter().map(|piece| zeros(2 * piece.range.len() * lanes)).collect(),
             spectra: transformed.iter().map(|piece| zeros(2 * piece.range.len() * lanes)).collect(),
+            signals: plan.focus.as_ref().map_or_else(Vec::new, signals),
             drafts: (0..sensors).map(|_| SharedImage::zeros(directions, ranges)).collect(),
             images: (0..sensors).map(|_| RwLock::new(vec![0.0; directions * ranges])).collect(),
             sums: row_pieces.iter().map(|piece| Mutex::new(vec![RowSums::SILENT; piece.len()])).collect(),
             scratch: (0..threads)
-                .map(|_| {
-                    let samples = (BAND_PIECE - 1) * plan.band_decimation + plan.band_taps.len();
-                    let beams = 2 * sensors * inverse.buffer_len(lanes);
-                    Mutex::new(Scratch {
-                        tile: Aligned::zeros(samples * lanes),
-                        windows: vec![[0; WORD_CHANNELS]; if pdm { bit_filter.window_count(PDM_PIECE) } else { 0 }],
-                        transforms: Aligned::zeros(beams.max(forward.buffer_len(lanes))),
-                        phases: Aligned::zeros(delay_and_sum::scratch_len(channels_max(&plan), lanes)),
-                        square: Aligned::zeros(lanes * lanes),
-                        energies: Aligned::zeros(row_runs.scratch_len()),
-                    })
-                })
+                .map(|_| Mutex::new(scratch(&plan, lanes, transform_len, &bit_filter, &row_runs)))
                 .collect(),
+            to_signal,
+            focus_groups: focus_groups(&plan),
             bit_filter,
             forward,
             inverse,
@@ -278,9 +321,12 @@ impl Work {
     /// Sets `gains[sensor][channel]`. False when a thread hangs.
     pub(super) fn set_gains<'a>(&self, gains: impl Iterator<Item = &'a [f32]>) -> bool {
         let Some(mut job) = self.change_job() else { return false };
-        for (blocks, gains) in job.gains.iter_mut().zip(gains) {
-            for (block, gains) in blocks.iter_mut().zip(gains.chunks(self.lanes)) {
-                block[..gains.len()].copy_from_slice(gains);
+        let combine = self.plan.focus.as_ref().map(|focus| focus.combine).filter(|combine| !combine.is_sum());
+        let job = &mut *job;
+        for ((kept, scale), gains) in job.gains.iter_mut().zip(&mut job.scales).zip(gains) {
+            kept[..gains.len()].copy_from_slice(gains);
+            if let Some(combine) = combine {
+                *scale = combine.scale(gains);
             }
         }
         true

@@ -3,7 +3,7 @@
 //! In: the thinned start of the channel. Out: phase, strength and lateness of the emission in it. Knows nothing of other channels
 //! and judges nothing.
 
-use super::template::{Correlation, Template};
+use super::template::{Correlation, Template, peak_in_flanks};
 use nalgebra::{Complex, Vector3};
 
 /// Samples of the quiet stretch that are needed, and those left out at its ends: the filter's way in and the taper's beginning.
@@ -84,11 +84,8 @@ impl Channel {
         self.candidate = Told::InPlace { phasor, strength: found.amplitude * self.distance_m as f32 };
         if flanked {
             let side = |sign: i64| f64::from(template.correlate(start, lag + sign * template.flank).product.norm());
-            let (early, middle, late) = (side(-1), f64::from(found.product.norm()), side(1));
-            let bend = early + late - 2.0 * middle;
-            // Without a peak in between it is farther away than the flank.
-            let vertex = if bend < 0.0 { 0.5 * (early - late) / bend } else { (late - early).signum() };
-            let late = vertex.clamp(-1.0, 1.0) * template.flank as f64;
+            let sizes = [side(-1), f64::from(found.product.norm()), side(1)];
+            let late = peak_in_flanks(sizes) * template.flank as f64;
             self.late = Some(late + lag as f64 - expected);
         }
         found

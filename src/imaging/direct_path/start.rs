@@ -8,7 +8,7 @@ use crate::imaging::plan::ImagingPlan;
 use crate::signal::Samples;
 
 /// Reads samples `first`, `first + stride`, ... of one channel at the demodulated rate; `false` where the ping is too short.
-pub(super) fn read(
+pub(crate) fn read(
     plan: &ImagingPlan,
     samples: &Samples,
     channel: usize,

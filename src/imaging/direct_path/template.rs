@@ -65,7 +65,7 @@ impl Template {
                 norm: thinned().map(|value| value.re * value.re).sum::<f64>().sqrt() as f32,
             }
         };
-        let flank = (FLANK / spread_rad.max(1e-3)).round().max(1.0) as i64;
+        let flank = flank(spread_rad);
         Self {
             stride,
             len: analytic.len(),
@@ -118,8 +118,21 @@ fn products(x: &[f32], a: &[f32], b: &[f32]) -> (f32, f32, f32) {
     (totals[0], totals[1], totals[2])
 }
 
+/// Lag, in samples, at which the correlation of an emission of this rms bandwidth has fallen by about a third.
+pub(crate) fn flank(spread_rad: f64) -> i64 {
+    (FLANK / spread_rad.max(1e-3)).round().max(1.0) as i64
+}
+
+/// Place of the envelope's peak between its sizes a flank before, at and a flank after a lag, in flanks; at most one.
+pub(crate) fn peak_in_flanks([early, middle, late]: [f64; 3]) -> f64 {
+    let bend = early + late - 2.0 * middle;
+    // Without a peak in between it is farther away than the flank.
+    let vertex = if bend < 0.0 { 0.5 * (early - late) / bend } else { (late - early).signum() };
+    vertex.clamp(-1.0, 1.0)
+}
+
 /// The analytic signal, its mean frequency and its rms bandwidth, radians a sample.
-fn analytic(samples: &[f64]) -> (Vec<Complex<f64>>, f64, f64) {
+pub(crate) fn analytic(samples: &[f64]) -> (Vec<Complex<f64>>, f64, f64) {
     let len = (2 * samples.len()).next_power_of_two();
     let mut planner = FftPlanner::<f64>::new();
     let mut spectrum = vec![Complex::new(0.0, 0.0); len];

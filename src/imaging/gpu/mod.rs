@@ -5,7 +5,7 @@
 //! dispatch, read back, check. Every wait ends, every error comes back as a [`BackendError`], nothing panics. Never judges channels
 //! and never chooses between backends.
 //!
-//! Counted for the default plan, three sensors of 32 channels, PDM, 180 directions, 941 ranges: 11 dispatches, 2.0 MB up, 2.0 MB down,
+//! Counted for the default plan, three sensors of 32 channels, PDM, 180 directions, 941 ranges: 15 dispatches, 2.0 MB up, 2.0 MB down,
 //! 27 MB of buffers. `noctule bench --backend gpu` prints the count of every stage (`work.rs`), what cards of known peaks should
 //! make of it, and what this one does.
 //!
@@ -14,9 +14,11 @@
 //! computed while the other is uploaded and read back.
 
 mod device;
+mod inspect;
 mod params;
 mod program;
 mod readback;
+mod resource;
 mod schedule;
 pub mod stage;
 mod tables;
@@ -29,14 +31,15 @@ pub use params::{PARAMS_LAYOUT, Params};
 pub use readback::panic_is_a_lost_device;
 pub use work::{DispatchWork, Memory, PipelineUse, memory, pipelines, transfer_bytes, workload};
 
-use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput};
+use super::backend::{Backend, BackendError, BackendKind, BackendReport, Image, Stage, StageOutput, StageTimes};
 use super::plan::ImagingPlan;
 use crate::signal::{MaskTable, PingSet, RowSums, SENSORS_MAX, Samples};
 use device::Gpu;
 use params::{NONCE_WORDS, ResultLayout, channel_stride};
 use program::{Program, Step};
 use readback::{Staging, check_cells, check_nonce, checked_sums, poison_buffer};
-use schedule::{BINDING_BYTES_MAX, Blueprint, Resource};
+use resource::Resource;
+use schedule::{BINDING_BYTES_MAX, Blueprint};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
@@ -63,7 +66,7 @@ pub struct GpuBackend {
     timing: Option<Timing>,
     limit: Duration,
     report: BackendReport,
-    stage_times_ns: [u64; 5],
+    stage_times_ns: StageTimes,
     /// Gains of all channels, and packed 16-bit samples of one sensor.
     gains: Vec<f32>,
     packed: Vec<u32>,
@@ -130,8 +133,8 @@ impl GpuBackend {
                 reason: "the GPU backend was asked for".to_owned(),
                 threads: 1,
             },
-            stage_times_ns: [0; 5],
-            gains: vec![0.0; plan.sensors.len() * channel_stride(&plan)],
+            stage_times_ns: StageTimes::default(),
+            gains: vec![0.0; plan.sensors.len() * (channel_stride(&plan) + 2)],
             packed: Vec::new(),
             silence: vec![0.0; plan.raw_count],
             blocks: Vec::new(),
@@ -248,6 +251,11 @@ impl GpuBackend {
             present |= 1 << sensor;
             let gains = &image.channels[sensor].gains;
             self.gains[sensor * stride..][..gains.len()].copy_from_slice(gains);
+            if let Some(focus) = self.plan.focus.as_ref().filter(|focus| !focus.combine.is_sum()) {
+                let scale = focus.combine.scale(gains);
+                let at = self.plan.sensors.len() * stride + 2 * sensor;
+                self.gains[at..at + 2].copy_from_slice(&[scale.count, scale.products]);
+            }
             let offset = 4 * (sensor * self.program.raw_stride) as u64;
             let raw = self.program.buffer(Resource::Raw);
             match &*ping.samples {
@@ -335,7 +343,7 @@ impl GpuBackend {
             for ((sums, row), words) in image.sums.iter_mut().zip(&masks.rows).zip(sums) {
                 *sums = if active[row.sensor_index] { checked_sums(words)? } else { RowSums::SILENT };
             }
-            Ok(timing.map_or([0; 5], |timing| timing.stage_times_ns(times)))
+            Ok(timing.map_or(StageTimes::default(), |timing| timing.stage_times_ns(times)))
         })?;
         for (sensor, (energyscape, ping)) in image.energyscapes.iter_mut().zip(&pings.pings).enumerate() {
             if active[sensor] {
@@ -356,78 +364,6 @@ impl GpuBackend {
             && image.channels.iter().zip(sensors).all(|(report, sensor)| report.gains.len() == sensor.channel_count)
             && image.sums.len() == self.masks.rows.len();
         if fits { Ok(()) } else { Err(BackendError::Invalid("the image was made for another plan".to_owned())) }
-    }
-
-    /// A part of a buffer after the dispatches that are wanted, as words.
-    fn words_after(
-        &mut self,
-        wanted: impl Fn(&Step) -> bool,
-        resource: Resource,
-        first: usize,
-        count: usize,
-    ) -> Result<Vec<u32>, BackendError> {
-        let start = Instant::now();
-        let bytes = 4 * count.max(1) as u64;
-        let mut staging = Staging::new(&self.gpu, bytes);
-        let mut encoder = self.encode(None, wanted);
-        encoder.copy_buffer_to_buffer(self.program.buffer(resource), 4 * first as u64, &staging.buffer, 0, bytes);
-        self.gpu.queue.submit([encoder.finish()]);
-        self.gpu.faults.check()?;
-        staging.request();
-        staging.wait(&self.gpu, start, SLOW_LIMIT)?;
-        staging.read(|bytes| Ok(bytemuck::pod_collect_to_vec(bytes)))
-    }
-
-    /// PCM of a sensor, put back from phase rows into `[channel][sample]`.
-    fn demodulated(&mut self, sensor: usize) -> Result<Vec<f32>, BackendError> {
-        let (phases, row_len, lead) = (self.plan.band_decimation, self.program.rows.stride, self.program.rows.lead);
-        let rows = channel_stride(&self.plan) * phases;
-        let bank = self.program.bank_of(sensor);
-        let first = (sensor - self.program.banks[bank].sensors.start) * rows * row_len;
-        let wanted = |step: &Step| step.bank == bank && step.stage == Stage::Demodulate;
-        let words = self.words_after(wanted, Resource::Pcm, first, rows * row_len)?;
-        let channels = self.plan.sensors[sensor].channel_count;
-        let value = |channel: usize, n: usize| words[(channel * phases + n % phases) * row_len + lead + n / phases];
-        let samples = self.plan.sample_count;
-        Ok((0..channels)
-            .flat_map(|channel| (0..samples).map(move |n| (channel, n)))
-            .map(|(channel, n)| f32::from_bits(value(channel, n)))
-            .collect())
-    }
-
-    /// Spectra of a sensor's channels.
-    fn matched(&mut self, sensor: usize) -> Result<Vec<[f32; 2]>, BackendError> {
-        let bins = self.plan.bin_count;
-        let bank = self.program.bank_of(sensor);
-        let row = (sensor - self.program.banks[bank].sensors.start) * channel_stride(&self.plan);
-        let rows = self.plan.sensors[sensor].channel_count;
-        let wanted = |step: &Step| step.bank == bank && step.stage <= Stage::MatchedFilter;
-        Ok(complex(&self.words_after(wanted, Resource::Spectra, 2 * bins * row, 2 * bins * rows)?))
-    }
-
-    /// Spectra of a sensor's directions, put back from the rows of the tiles.
-    fn summed(&mut self, sensor: usize) -> Result<Vec<[f32; 2]>, BackendError> {
-        let (bins, ranges) = (self.plan.bin_count, self.plan.grid.range_count());
-        let bank = self.program.bank_of(sensor);
-        let local = sensor - self.program.banks[bank].sensors.start;
-        let mut spectra = vec![[0.0; 2]; self.plan.grid.direction_count() * bins];
-        for index in 0..self.program.tiles.len() {
-            let tile = self.program.tiles[index].clone();
-            if tile.bank != bank {
-                continue;
-            }
-            let before = |step: &Step| step.bank == bank && step.stage <= Stage::MatchedFilter;
-            let wanted = |step: &Step| before(step) || (step.stage == Stage::DelayAndSum && step.tile == Some(index));
-            let rows = complex(&self.words_after(wanted, Resource::WorkA, 0, 2 * bins * tile.row_count)?);
-            let targets = &self.program.targets[tile.target_first..][..tile.row_count];
-            for (row, [cell, flags]) in rows.chunks_exact(bins).zip(targets) {
-                if *flags as usize & (SENSORS_MAX.next_power_of_two() - 1) == local {
-                    let direction = (*cell as usize - local * self.layout.stride) / ranges;
-                    spectra[direction * bins..][..bins].copy_from_slice(row);
-                }
-            }
-        }
-        Ok(spectra)
     }
 }
 
@@ -457,11 +393,11 @@ impl Backend for GpuBackend {
         }
         let mut active = [false; SENSORS_MAX];
         active[sensor_index] = pings.present[sensor_index];
-        if stage >= Stage::Envelope {
+        if stage >= Stage::Focus {
             self.submit_and_wait(pings, active, image, SLOW_LIMIT)?;
             self.take_result(pings, active, image)?;
             return Ok(match stage {
-                Stage::Envelope => StageOutput::Real(image.energyscapes[sensor_index].values.clone()),
+                Stage::Focus => StageOutput::Real(image.energyscapes[sensor_index].values.clone()),
                 _ => StageOutput::Sums(image.sums.clone()),
             });
         }
@@ -470,11 +406,12 @@ impl Backend for GpuBackend {
         match stage {
             Stage::Demodulate => Ok(StageOutput::Real(self.demodulated(sensor_index)?)),
             Stage::MatchedFilter => Ok(StageOutput::Complex(self.matched(sensor_index)?)),
+            Stage::Envelope => Ok(StageOutput::Real(self.plane_waves(sensor_index)?)),
             _ => Ok(StageOutput::Complex(self.summed(sensor_index)?)),
         }
     }
 
-    fn stage_times_ns(&self) -> [u64; 5] {
+    fn stage_times_ns(&self) -> StageTimes {
         self.stage_times_ns
     }
 
@@ -490,10 +427,6 @@ impl Drop for GpuBackend {
             std::mem::forget((self.gpu.device.clone(), self.gpu.queue.clone()));
         }
     }
-}
-
-fn complex(words: &[u32]) -> Vec<[f32; 2]> {
-    words.chunks_exact(2).map(|pair| [f32::from_bits(pair[0]), f32::from_bits(pair[1])]).collect()
 }
 
 #[cfg(test)]

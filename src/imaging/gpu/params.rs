@@ -4,7 +4,7 @@
 //! padding; tests/shader_layout.rs holds every offset to what naga finds in the shader. Never computes a table.
 
 use super::tables::{BitWindow, PhaseRows};
-use crate::imaging::plan::ImagingPlan;
+use crate::imaging::plan::{FocusPlan, ImagingPlan};
 use crate::signal::MaskTable;
 
 /// `struct Params` of the shaders; what every field means is written there.
@@ -42,6 +42,14 @@ pub struct Params {
     pub slot_first: u32,
     pub row_base: u32,
     pub row_step: u32,
+    pub focus_count: u32,
+    pub focus_first_bin: u32,
+    pub focus_lead: u32,
+    pub focus_row_len: u32,
+    pub direction_count: u32,
+    pub gain_count: u32,
+    pub focus_samples_per_m: f32,
+    pub focus_turns_per_m: f32,
     pub present: u32,
     pub nonce_low: u32,
     pub nonce_high: u32,
@@ -82,6 +90,14 @@ pub const PARAMS_LAYOUT: &[(&str, usize)] = &{
         ("slot_first", offset_of!(Params, slot_first)),
         ("row_base", offset_of!(Params, row_base)),
         ("row_step", offset_of!(Params, row_step)),
+        ("focus_count", offset_of!(Params, focus_count)),
+        ("focus_first_bin", offset_of!(Params, focus_first_bin)),
+        ("focus_lead", offset_of!(Params, focus_lead)),
+        ("focus_row_len", offset_of!(Params, focus_row_len)),
+        ("direction_count", offset_of!(Params, direction_count)),
+        ("gain_count", offset_of!(Params, gain_count)),
+        ("focus_samples_per_m", offset_of!(Params, focus_samples_per_m)),
+        ("focus_turns_per_m", offset_of!(Params, focus_turns_per_m)),
         ("present", offset_of!(Params, present)),
         ("nonce_low", offset_of!(Params, nonce_low)),
         ("nonce_high", offset_of!(Params, nonce_high)),
@@ -158,6 +174,21 @@ impl Params {
             phat: u32::from(plan.phat),
             smoothing_count: plan.smoothing_taps.len() as u32,
             cell_stride: layout.stride as u32,
+            direction_count: plan.grid.direction_count() as u32,
+            gain_count: (plan.sensors.len() * channel_stride(plan)) as u32,
+            ..plan.focus.as_ref().map_or_else(Self::default, |focus| Self::of_focus(plan, focus))
+        }
+    }
+
+    fn of_focus(plan: &ImagingPlan, focus: &FocusPlan) -> Self {
+        let len = focus.signal_len;
+        Self {
+            focus_count: focus.range_count as u32,
+            focus_first_bin: ((plan.first_bin + len - focus.centre_bin % len) % len) as u32,
+            focus_lead: focus.lead as u32,
+            focus_row_len: focus.row_len as u32,
+            focus_samples_per_m: focus.samples_per_m as f32,
+            focus_turns_per_m: focus.turns_per_m as f32,
             ..Self::default()
         }
     }

@@ -5,7 +5,8 @@
 
 use super::device::Gpu;
 use super::params::Params;
-use super::schedule::{Bank, Blueprint, Content, Dispatch, Resource, Tile};
+use super::resource::Resource;
+use super::schedule::{Bank, Blueprint, Content, Dispatch, Tile};
 use super::stage::{self, Access, Kernel};
 use super::tables::PhaseRows;
 use crate::imaging::backend::{BackendError, Stage};
@@ -53,7 +54,7 @@ impl Program {
     /// # Errors
     /// Whatever the device recorded meanwhile.
     pub(super) fn new(gpu: &Gpu, blueprint: Blueprint<'_>) -> Result<Self, BackendError> {
-        let buffers = Resource::ALL.map(|resource| make_buffer(gpu, resource, &blueprint)).to_vec();
+        let buffers = Resource::ALL.iter().map(|resource| make_buffer(gpu, *resource, &blueprint)).collect::<Vec<_>>();
         let params = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("params"),
             size: (BLOCK_STRIDE * blueprint.blocks.len()) as u64,

@@ -7,11 +7,12 @@
 
 use super::device::Needs;
 use super::params::{BINDING_WORDS, Params, ResultLayout, channel_stride};
+use super::resource::Resource;
 use super::stage::{self, Kernel};
-use super::tables::{BitWindow, MaskEntries, PhaseRows, Steering, SteeringGroup};
+use super::tables::{BitWindow, Geometry, MaskEntries, PhaseRows, Steering, SteeringGroup};
 use super::transform::{self, Pass};
 use crate::imaging::backend::BackendError;
-use crate::imaging::plan::ImagingPlan;
+use crate::imaging::plan::{FocusPlan, ImagingPlan};
 use crate::signal::{MaskTable, SampleFormat};
 use std::ops::Range;
 
@@ -20,62 +21,6 @@ pub(super) const BINDING_BYTES_MAX: u64 = 128 << 20;
 /// Most bytes of each of the two buffers of spectra, unless one channel set needs more: enough rows to fill any GPU, and little
 /// enough for a small one.
 const WORK_BYTES_MAX: u64 = 32 << 20;
-
-/// The buffers. `Work*` carry complex rows from kernel to kernel in turns.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Resource {
-    Raw,
-    BitStreams,
-    BitSums,
-    Corrections,
-    Pcm,
-    BandTaps,
-    WorkA,
-    WorkB,
-    Spectra,
-    Reference,
-    Gains,
-    Turns,
-    Beams,
-    Targets,
-    Magnitudes,
-    Smoothing,
-    Entries,
-    Rows,
-    Ranges,
-    Image,
-    Sums,
-}
-
-impl Resource {
-    /// All of them, in order.
-    pub(super) const ALL: [Resource; 21] = {
-        use Resource::*;
-        [
-            Raw,
-            BitStreams,
-            BitSums,
-            Corrections,
-            Pcm,
-            BandTaps,
-            WorkA,
-            WorkB,
-            Spectra,
-            Reference,
-            Gains,
-            Turns,
-            Beams,
-            Targets,
-            Magnitudes,
-            Smoothing,
-            Entries,
-            Rows,
-            Ranges,
-            Image,
-            Sums,
-        ]
-    };
-}
 
 /// What a buffer begins with.
 pub(super) enum Content<'a> {
@@ -137,9 +82,11 @@ pub(super) struct Blueprint<'a> {
     pub dispatches: Vec<Dispatch>,
     pub bits: BitWindow,
     pub masks: MaskEntries,
+    geometry: Geometry,
     steering: Steering,
     forward: Vec<Pass>,
     inverse: Vec<Pass>,
+    to_signal: Vec<Pass>,
     work_bytes: usize,
 }
 
@@ -161,6 +108,7 @@ impl<'a> Blueprint<'a> {
             })
         };
         let (forward, inverse) = (passes(plan.forward_len)?, passes(plan.inverse_len)?);
+        let to_signal = plan.focus.as_ref().map_or(Ok(Vec::new()), |focus| passes(focus.signal_len))?;
         let raw_len = |sensor| match plan.format {
             SampleFormat::Pdm | SampleFormat::PcmF32 => plan.raw_len(sensor),
             SampleFormat::PcmI16 => plan.raw_len(sensor).div_ceil(2),
@@ -178,9 +126,11 @@ impl<'a> Blueprint<'a> {
             dispatches: Vec::new(),
             bits: BitWindow::new(plan),
             masks: MaskEntries::new(plan, masks).map_err(BackendError::Unavailable)?,
+            geometry: Geometry::new(plan),
             steering: Steering::new(plan),
             forward,
             inverse,
+            to_signal,
             work_bytes: WORK_BYTES_MAX.min(binding_bytes) as usize,
         };
         if blueprint.too_large(binding_bytes).is_some() {
@@ -243,16 +193,29 @@ impl<'a> Blueprint<'a> {
             Resource::Pcm => Zeros(4 * channels * plan.band_decimation * self.rows.stride),
             Resource::BandTaps => Table(bytemuck::cast_slice(&self.rows.taps)),
             Resource::WorkA | Resource::WorkB => {
-                Zeros(8 * (tile_rows * self.row_len()).max(channels * plan.forward_len))
+                let signals = |focus: &FocusPlan| focus.combine.sub_bands * focus.signal_len;
+                let longest = plan.focus.as_ref().map_or(0, signals).max(plan.forward_len);
+                Zeros(8 * (tile_rows * self.row_len()).max(channels * longest))
             }
             Resource::Spectra => Zeros(8 * channels * plan.bin_count),
             Resource::Reference => Table(bytemuck::cast_slice(&plan.reference)),
-            Resource::Gains => Zeros(4 * plan.sensors.len() * channel_stride(plan)),
+            // Behind the gains two scales a sensor.
+            Resource::Gains => Zeros(4 * plan.sensors.len() * (channel_stride(plan) + 2)),
             Resource::Turns => Table(bytemuck::cast_slice(&self.steering.turns)),
             Resource::Beams => Table(bytemuck::cast_slice(&self.steering.beams)),
             Resource::Targets => Table(bytemuck::cast_slice(&self.targets)),
             Resource::Magnitudes => Zeros(if smooth { 4 * tile_rows * plan.inverse_len } else { 4 }),
             Resource::Smoothing => Table(bytemuck::cast_slice(&plan.smoothing_taps)),
+            Resource::Signals => {
+                let focus = plan.focus.as_ref();
+                let samples = |focus: &FocusPlan| focus.combine.sub_bands * focus.oversampling * focus.row_len;
+                Zeros(focus.map_or(4, |focus| 8 * channels * samples(focus)))
+            }
+            Resource::Along => Table(bytemuck::cast_slice(&self.geometry.along_m)),
+            Resource::Squares => Table(bytemuck::cast_slice(&self.geometry.square_m2)),
+            Resource::Emitters => Table(bytemuck::cast_slice(&self.geometry.emitters)),
+            Resource::FocusRanges => Table(bytemuck::cast_slice(&self.geometry.focus_range_m)),
+            Resource::Interpolator => Table(plan.focus.as_ref().map_or(&[], |focus| bytemuck::cast_slice(&focus.taps))),
             Resource::Entries => Table(bytemuck::cast_slice(&self.masks.entries)),
             Resource::Rows => Table(bytemuck::cast_slice(&self.masks.rows)),
             Resource::Ranges => Table(bytemuck::cast_slice(&self.masks.ranges)),
@@ -305,7 +268,8 @@ impl<'a> Blueprint<'a> {
         let mut list = List { bank, tile: None, block, dispatches: Vec::new() };
         self.demodulate(&mut list)?;
         self.matched_filter(&mut list)?;
-        for parts in self.cut(bank) {
+        let parts = if self.plan.has_plane_waves() { self.cut(bank) } else { Vec::new() };
+        for parts in parts {
             let row_count = parts.iter().map(|part| part.sensors.len() * part.slots().len()).sum();
             let tile = Tile { bank, target_first: self.targets.len(), row_count };
             (list.tile, list.block) = (Some(self.tiles.len()), self.blocks.len());
@@ -333,6 +297,7 @@ impl<'a> Blueprint<'a> {
             self.tiles.push(tile);
         }
         (list.tile, list.block) = (None, block);
+        self.focus(&mut list)?;
         let bindings = [Resource::Image, Resource::Entries, Resource::Rows, Resource::Ranges, Resource::Sums];
         list.push("masked_energy", &[], &bindings, [params.row_count.max(1) * 128, 1, 1])?;
         self.dispatches.append(&mut list.dispatches);
@@ -435,6 +400,39 @@ impl<'a> Blueprint<'a> {
             list.push("smooth_rows", &[], &[Targets, Image, Magnitudes, Smoothing], threads)?;
         }
         Ok(())
+    }
+
+    fn focus(&self, list: &mut List) -> Result<(), BackendError> {
+        use Resource::{
+            Along, Emitters, FocusRanges, Gains, Image, Interpolator, Signals, Spectra, Squares, WorkA, WorkB,
+        };
+        let Some(focus) = &self.plan.focus else { return Ok(()) };
+        let sensors = self.banks[list.bank].sensors.len() as u32;
+        let sub_bands = focus.combine.sub_bands as u32;
+        let oversampling = [("OVERSAMPLING", focus.oversampling as f64), ("SUB_BANDS", f64::from(sub_bands))];
+        let (mut from, mut to) = (Spectra, WorkA);
+        for (index, pass) in self.to_signal.iter().enumerate() {
+            let constants = [&pass.constants(focus.signal_len)[..], &oversampling].concat();
+            let rows = sub_bands * sensors * channel_stride(self.plan) as u32;
+            let threads = [focus.signal_len as u32 / pass.radix(), rows, 1];
+            if index + 1 == self.to_signal.len() {
+                list.push("signal_last", &constants, &[from, Signals], threads)?;
+            } else {
+                let name = if index == 0 { "signal_first" } else { "signal_pass" };
+                list.push(name, &constants, &[from, to], threads)?;
+                (from, to) = (to, if to == WorkA { WorkB } else { WorkA });
+            }
+        }
+        let bindings = [Signals, Along, Squares, Emitters, FocusRanges, Interpolator, Image, Gains];
+        let threads = [focus.range_count as u32, self.plan.grid.direction_count() as u32, sensors];
+        // Four ranges a thread need blocks that begin and end at fours; the last may end with the image.
+        let fours = focus.blocks.iter().all(|block| block.first % 4 == 0);
+        if focus.combine.is_sum() && fours {
+            let threads = [threads[0].div_ceil(4), threads[1], threads[2]];
+            return list.push("focus_sums", &oversampling, &bindings[..7], threads);
+        }
+        let combine = [("ORDER", focus.combine.order as f64), ("COHERENCE", f64::from(focus.combine.coherence as u8))];
+        list.push("focus", &[&oversampling[..], &combine].concat(), &bindings, threads)
     }
 }
 

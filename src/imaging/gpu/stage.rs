@@ -40,6 +40,7 @@ pub fn source(stage: Stage) -> &'static str {
         }
         Stage::DelayAndSum => joined!("common/params.wgsl", "common/complex.wgsl", "delay_and_sum.wgsl"),
         Stage::Envelope => joined!("common/params.wgsl", "common/complex.wgsl", "common/fft.wgsl", "envelope.wgsl"),
+        Stage::Focus => joined!("common/params.wgsl", "common/complex.wgsl", "common/fft.wgsl", "focus.wgsl"),
         Stage::MaskedEnergy => joined!("common/params.wgsl", "masked_energy.wgsl"),
     }
 }
@@ -47,10 +48,15 @@ pub fn source(stage: Stage) -> &'static str {
 const ALONG: [u32; 3] = [64, 1, 1];
 const BUTTERFLIES: [u32; 3] = [16, 8, 1];
 
+const FOCUS_BINDINGS: &[(u32, Access)] = {
+    use Access::{Read, Write};
+    &[(1, Read), (4, Read), (5, Read), (6, Read), (7, Read), (8, Read), (9, Write), (10, Read)]
+};
+
 /// All kernels, in the order of the stages.
 pub const KERNELS: &[Kernel] = {
     use Access::{Read, Write};
-    use Stage::{DelayAndSum, Demodulate, Envelope, MaskedEnergy, MatchedFilter};
+    use Stage::{DelayAndSum, Demodulate, Envelope, Focus, MaskedEnergy, MatchedFilter};
     &[
         kernel(Demodulate, "transpose_words", ALONG, &[(1, Read), (2, Write)]),
         kernel(Demodulate, "demodulate_pdm", ALONG, &[(2, Write), (3, Read), (4, Read), (5, Write)]),
@@ -65,6 +71,11 @@ pub const KERNELS: &[Kernel] = {
         kernel(Envelope, "inverse_last", BUTTERFLIES, &[(1, Read), (3, Read), (4, Write)]),
         kernel(Envelope, "inverse_last_whole", BUTTERFLIES, &[(1, Read), (3, Read), (5, Write)]),
         kernel(Envelope, "smooth_rows", ALONG, &[(3, Read), (4, Write), (5, Write), (6, Read)]),
+        kernel(Focus, "signal_first", BUTTERFLIES, &[(1, Read), (2, Write)]),
+        kernel(Focus, "signal_pass", BUTTERFLIES, &[(1, Read), (2, Write)]),
+        kernel(Focus, "signal_last", BUTTERFLIES, &[(1, Read), (3, Write)]),
+        kernel(Focus, "focus", ALONG, FOCUS_BINDINGS),
+        kernel(Focus, "focus_sums", ALONG, FOCUS_BINDINGS.split_at(7).0),
         kernel(MaskedEnergy, "masked_energy", [128, 1, 1], &[(1, Read), (2, Read), (3, Read), (4, Read), (5, Write)]),
     ]
 };

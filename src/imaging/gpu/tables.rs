@@ -5,6 +5,7 @@
 
 use super::params::channel_stride;
 use crate::imaging::plan::ImagingPlan;
+use crate::imaging::plan::focus::FocusBlock;
 use crate::signal::MaskTable;
 use std::collections::HashMap;
 
@@ -214,6 +215,43 @@ fn mirror_pairs<'a>(direction_count: usize, row: impl Fn(u32) -> &'a [f64]) -> V
         pairs.push([direction, mirror]);
     }
     pairs
+}
+
+/// The geometry that focusing reads, in rows of the same stride for every sensor.
+#[derive(Debug, Default)]
+pub(super) struct Geometry {
+    /// `[sensor][direction][channel]`: p.u.
+    pub along_m: Vec<f32>,
+    /// `[sensor][channel]`: |p|^2.
+    pub square_m2: Vec<f32>,
+    /// `[sensor][direction]`: e.u, |e|^2, 1 where hidden.
+    pub emitters: Vec<[f32; 4]>,
+    /// `[range]`: the range whose excess it has.
+    pub focus_range_m: Vec<f32>,
+}
+
+impl Geometry {
+    pub(super) fn new(plan: &ImagingPlan) -> Self {
+        let Some(focus) = &plan.focus else { return Self::default() };
+        let stride = channel_stride(plan);
+        let padded = |rows: &[f32], len: usize| -> Vec<f32> {
+            let row =
+                |row: &[f32]| row.iter().copied().chain(std::iter::repeat_n(0.0, stride - len)).collect::<Vec<f32>>();
+            rows.chunks(len).flat_map(row).collect()
+        };
+        let mut geometry = Self::default();
+        for (sensor, focus) in plan.sensors.iter().zip(&focus.sensors) {
+            geometry.along_m.extend(padded(&focus.along_m, sensor.channel_count));
+            geometry.square_m2.extend(padded(&focus.square_m2, sensor.channel_count));
+            let emitter = |(along_m, hidden): (&f32, &bool)| {
+                [*along_m, focus.emitter_square_m2, if *hidden { 1.0 } else { 0.0 }, 0.0]
+            };
+            geometry.emitters.extend(focus.emitter_along_m.iter().zip(&sensor.hidden).map(emitter));
+        }
+        let of_block = |block: &FocusBlock| std::iter::repeat_n(block.range_m as f32, block.len);
+        geometry.focus_range_m = focus.blocks.iter().flat_map(of_block).collect();
+        geometry
+    }
 }
 
 /// Marks an entry right of the robot's x axis, in its cell; a grid has at most 2^24 of them.

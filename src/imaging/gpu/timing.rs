@@ -3,7 +3,7 @@
 //! In: the compute passes, one or more a stage. Out: nanoseconds a stage, read back behind the result. Never decides anything.
 
 use super::device::Gpu;
-use crate::imaging::backend::Stage;
+use crate::imaging::backend::{Stage, StageTimes};
 
 /// Most timestamps of a query set.
 const QUERIES_MAX: usize = wgpu::QUERY_SET_MAX_QUERIES as usize;
@@ -57,12 +57,12 @@ impl Timing {
     }
 
     /// Nanoseconds of each stage from the bytes of [`Timing::resolve`]; a time that runs backwards counts as not known.
-    pub(super) fn stage_times_ns(&self, bytes: &[u8]) -> [u64; 5] {
+    pub(super) fn stage_times_ns(&self, bytes: &[u8]) -> StageTimes {
         let tick = |index: usize| {
             let bytes = bytes.get(8 * index..8 * index + 8).and_then(|bytes| bytes.try_into().ok());
             bytes.map_or(0, u64::from_ne_bytes)
         };
-        let mut ticks = [0; 5];
+        let mut ticks = StageTimes::default();
         for (pass, stage) in self.passes.iter().enumerate() {
             ticks[*stage as usize] += tick(2 * pass + 1).saturating_sub(tick(2 * pass));
         }

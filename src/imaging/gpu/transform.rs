@@ -3,6 +3,8 @@
 //! In: a length of factors 2, 3, 5 and 7. Out: the radices of the passes, each a product of rows and columns that one thread
 //! holds in registers. Never transforms anything.
 
+use crate::imaging::plan::is_smooth;
+
 /// One pass: `rows * columns` values a butterfly, after passes of product `span`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Pass {
@@ -52,7 +54,7 @@ const RADICES: [(u32, u32, u32); 18] = [
 /// The passes of a transform of `len`, at least two, or `None` where it has a prime factor above 7. Fewest passes first, since each
 /// goes once through memory; then the smallest sum of radices, since a large butterfly holds few threads busy.
 pub(super) fn passes(len: usize) -> Option<Vec<Pass>> {
-    let len = u32::try_from(len).ok().filter(|len| is_smooth(*len))?;
+    let len = u32::try_from(len).ok().filter(|_| is_smooth(len))?;
     let radices = (2..=10).find_map(|count| cheapest(len, count))?.1;
     let mut span = 1;
     let mut passes = Vec::with_capacity(radices.len());
@@ -62,16 +64,6 @@ pub(super) fn passes(len: usize) -> Option<Vec<Pass>> {
         span *= radix;
     }
     Some(passes)
-}
-
-/// Whether no prime factor but 2, 3, 5 and 7 remains.
-fn is_smooth(mut len: u32) -> bool {
-    for factor in [2, 3, 5, 7] {
-        while len > 0 && len.is_multiple_of(factor) {
-            len /= factor;
-        }
-    }
-    len == 1
 }
 
 /// `count` radices, largest first, of product `len`, with their sum.

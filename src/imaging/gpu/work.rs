@@ -9,6 +9,7 @@ use super::params::{ResultLayout, channel_stride};
 use super::schedule::{BINDING_BYTES_MAX, Blueprint, Dispatch};
 use crate::imaging::backend::{BackendError, Stage};
 use crate::imaging::plan::ImagingPlan;
+use crate::imaging::plan::focus::TAPS;
 use crate::signal::{MaskTable, SampleFormat};
 use std::ops::Range;
 
@@ -61,7 +62,7 @@ pub struct PipelineUse {
 pub fn memory(plan: &ImagingPlan, masks: &MaskTable) -> Result<Memory, BackendError> {
     let blueprint = Blueprint::new(plan, masks, BINDING_BYTES_MAX)?;
     Ok(Memory {
-        buffer_bytes: super::schedule::Resource::ALL.iter().map(|resource| blueprint.bytes(*resource)).sum(),
+        buffer_bytes: super::resource::Resource::ALL.iter().map(|resource| blueprint.bytes(*resource)).sum(),
         largest_binding_bytes: blueprint.needs().binding_bytes,
         bank_count: blueprint.banks.len(),
         tile_count: blueprint.tiles.len(),
@@ -129,6 +130,10 @@ fn count(blueprint: &Blueprint<'_>, dispatch: &Dispatch, entries: u64) -> (u64, 
     let raw = raw_bytes(plan, blueprint.banks[dispatch.bank].sensors.clone());
     let streams = 4 * channels * blueprint.bits.block_count as u64;
     let (forward, inverse) = (8 * channels * plan.forward_len as u64, 8 * rows * plan.inverse_len as u64);
+    let (signals, kept) = plan.focus.as_ref().map_or((0, 0), |focus| {
+        let row = focus.oversampling * focus.row_len;
+        (8 * channels * focus.signal_len as u64, 8 * channels * row as u64)
+    });
     let butterfly =
         || threads * butterfly_operations(constant("RADIX_ROWS"), constant("RADIX_COLUMNS"), constant("SPAN"));
     match dispatch.kernel.entry_point {
@@ -160,6 +165,17 @@ fn count(blueprint: &Blueprint<'_>, dispatch: &Dispatch, entries: u64) -> (u64, 
         "inverse_last" => (butterfly() + 3 * rows * ranges, inverse + 4 * rows * ranges),
         "inverse_last_whole" => (butterfly() + inverse, inverse + inverse / 2),
         "smooth_rows" => (2 * threads * plan.smoothing_taps.len() as u64, inverse / 2 + 4 * rows * ranges),
+        "signal_first" => (butterfly(), 8 * channels * bins + signals),
+        "signal_pass" => (butterfly(), 2 * signals),
+        "signal_last" => (butterfly(), signals + kept),
+        name @ ("focus" | "focus_sums") => {
+            let cells = if name == "focus" { 1 } else { 4 };
+            let readings = threads * channel_stride(plan) as u64;
+            let geometry =
+                4 * cells * readings / plan.focus.as_ref().map_or(1, |focus| focus.range_count as u64).max(1);
+            // The way, its phase, three vectors of taps, ten readings of two values; samples come from a cache but once.
+            (readings * (30 + COS_SIN + 24 + cells * 4 * TAPS as u64), kept + geometry + 4 * cells * threads)
+        }
         // Twice an entry and its cell; the gains of a range stay in a cache.
         _ => (40 * entries, 24 * entries),
     }

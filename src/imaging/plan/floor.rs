@@ -5,6 +5,7 @@
 //! given: making them is a backend's own affair.
 
 use super::ImagingPlan;
+use super::focus::TAPS;
 use crate::imaging::backend::Stage;
 use crate::signal::SampleFormat;
 
@@ -20,7 +21,7 @@ pub struct StageFloor {
 impl ImagingPlan {
     /// Floor of each stage in the order of [`Stage::ALL`]; `mask_entries` is the number of cells in the mask table.
     #[must_use]
-    pub fn floor(&self, mask_entries: usize) -> [StageFloor; 5] {
+    pub fn floor(&self, mask_entries: usize) -> [StageFloor; Stage::ALL.len()] {
         Stage::ALL.map(|stage| self.stage_floor(stage, mask_entries))
     }
 
@@ -55,6 +56,16 @@ impl ImagingPlan {
                 let operations = directions * transform(self.inverse_len) + 3 * cells + smoothing;
                 (operations, complex * directions * self.bin_count + 4 * cells)
             }
+            (Stage::Focus, _) => self.focus.as_ref().map_or((0, 0), |focus| {
+                let samples = channels * focus.oversampling * focus.row_len;
+                let cells = directions * focus.range_count;
+                let readings: usize = self.sensors.iter().map(|s| s.channel_count).sum::<usize>()
+                    * self.grid.direction_count()
+                    * focus.range_count;
+                // A reading is interpolated, turned and added.
+                let operations = channels * transform(focus.signal_len) + (2 * TAPS + 4) * readings + 3 * cells;
+                (operations, complex * (channels * self.bin_count + samples) + 4 * cells)
+            }),
             // Entry: cell, side, distance; its energy twice, for the peak and for the nearest.
             (Stage::MaskedEnergy, _) => (2 * cells + 5 * mask_entries, 4 * cells + 20 * mask_entries),
         };

@@ -34,8 +34,16 @@ pub(super) struct Sizes {
     pub inverse_len: usize,
 }
 
-/// Cycles of one transform, or `None` where a prime factor above 7 remains.
+/// Whether no prime factor but 2, 3, 5 and 7 remains: whether both backends have a transform of this length.
+pub(in crate::imaging) fn is_smooth(len: usize) -> bool {
+    transform_cycles(len).is_some()
+}
+
+/// Cycles of one transform, or `None` where a prime factor above 7 remains, as of nothing, which every factor divides.
 fn transform_cycles(len: usize) -> Option<f64> {
+    if len == 0 {
+        return None;
+    }
     let mut rest = len;
     let mut levels = 0.0;
     for (factor, level) in [(2, 1.0), (3, 1.8), (5, 2.8), (7, 4.0)] {

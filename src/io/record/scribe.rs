@@ -12,6 +12,7 @@
 //! | `/noctule/scan`, `/noctule/laser_scan` | noctule_msgs/Scan, sensor_msgs/LaserScan of the whole robot |
 //! | `/noctule/obstacle` | noctule_msgs/Obstacle |
 //! | `/noctule/objects`, `/noctule/map` | noctule_msgs/Objects, nav_msgs/OccupancyGrid |
+//! | `/noctule/ego_motion` | noctule_msgs/EgoMotion |
 //! | `/noctule/pipeline` | noctule_msgs/PipelineStep: what a replay repeats |
 //! | `/diagnostics`, `/tf`, `/tf_static` | diagnostic_msgs/DiagnosticArray, tf2_msgs/TFMessage |
 //!
@@ -136,7 +137,7 @@ impl Scribe {
                 let diagnostics = ros::health_diagnostics(health);
                 self.put(ros::DIAGNOSTICS_TOPIC, health.ping_set_count, now, health.t_wall_ns, &diagnostics)?;
             }
-            Note::Scan(_) | Note::Obstacle(_) | Note::Objects(_) => self.detection(now, note)?,
+            Note::Scan(_) | Note::Obstacle(_) | Note::Objects(_) | Note::EgoMotion(_) => self.detection(now, note)?,
         }
         self.next_part(now)
     }
@@ -156,6 +157,10 @@ impl Scribe {
                 let (sequence, at) = (objects.sequence, objects.t_wall_ns);
                 self.wire("/noctule/objects", ros::objects_frame(objects), sequence, now, at, &**objects)?;
                 self.put(ros::MAP_TOPIC, sequence, now, at, &ros::occupancy_grid(objects))
+            }
+            Note::EgoMotion(motion) => {
+                let (sequence, at) = (motion.sequence, motion.t_wall_ns);
+                self.wire("/noctule/ego_motion", ros::BASE_FRAME, sequence, now, at, &**motion)
             }
             _ => Ok(()),
         }

@@ -8,6 +8,7 @@ use super::writer::Shared;
 use crate::io::ros::PipelineStep;
 use crate::io::wire::detections::{Objects, Obstacle, Scan};
 use crate::io::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, VelocityCommand, VelocityInput};
+use crate::io::wire::motion::EgoMotion;
 use crate::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use crate::signal::{Energyscape, PingSet, SENSORS_MAX, Samples};
 use crate::time::Stamp;
@@ -46,6 +47,8 @@ pub enum Note {
     Obstacle(Box<Obstacle>),
     /// Objects and map.
     Objects(Box<Objects>),
+    /// How the robot and what is around it move.
+    EgoMotion(Box<EgoMotion>),
 }
 
 /// A ping set with what was made of it; whatever is absent is not written.

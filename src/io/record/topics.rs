@@ -13,6 +13,7 @@ use crate::io::topics::Topic;
 use crate::io::wire::WireType;
 use crate::io::wire::detections::{Objects, Obstacle, Scan};
 use crate::io::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, VelocityCommand, VelocityInput};
+use crate::io::wire::motion::EgoMotion;
 use crate::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use crate::signal::{PingSet, SENSORS_MAX};
 use crate::time::Stamp;
@@ -30,6 +31,7 @@ pub struct RecordTopics {
     scan: FixedSubscriber<Scan>,
     obstacle: FixedSubscriber<Obstacle>,
     objects: FixedSubscriber<Objects>,
+    ego_motion: FixedSubscriber<EgoMotion>,
     raw: Option<LiveTopics>,
     pings: PingSet,
     refused: u64,
@@ -55,6 +57,7 @@ impl RecordTopics {
             Topic::scan(),
             Topic::obstacle(),
             Topic::objects(),
+            Topic::ego_motion(),
         ];
         let needs = images.iter().chain(&small).fold(Needs::new(), Needs::subscriber);
         let raw = if raw { Some(LiveTopics::open(ipc, sensors)?) } else { None };
@@ -72,6 +75,7 @@ impl RecordTopics {
                 session.subscriber(&Topic::scan())?,
                 session.subscriber(&Topic::obstacle())?,
                 session.subscriber(&Topic::objects())?,
+                session.subscriber(&Topic::ego_motion())?,
             ))
         })?;
         Ok(Self {
@@ -86,6 +90,7 @@ impl RecordTopics {
             scan: topics.8,
             obstacle: topics.9,
             objects: topics.10,
+            ego_motion: topics.11,
             raw,
             pings,
             refused: 0,
@@ -132,6 +137,7 @@ impl RecordTopics {
         notes(&self.scan, now, tap, |scan| Note::Scan(Box::new(scan)));
         notes(&self.obstacle, now, tap, |obstacle| Note::Obstacle(Box::new(obstacle)));
         notes(&self.objects, now, tap, |objects| Note::Objects(Box::new(objects)));
+        notes(&self.ego_motion, now, tap, |motion| Note::EgoMotion(Box::new(motion)));
     }
 }
 

@@ -448,6 +448,14 @@ impl Odometry {
         Pose2 { x_m: self.x_m, y_m: self.y_m, heading_rad: self.heading_rad }
     }
 
+    /// Pose and time, if the pose is made of numbers.
+    #[must_use]
+    pub fn dated_pose(&self) -> Option<(Pose2, Stamp)> {
+        let at = Stamp { boottime_ns: self.t_monotonic_ns, wall_ns: self.t_wall_ns };
+        let finite = self.x_m.is_finite() && self.y_m.is_finite() && self.heading_rad.is_finite();
+        finite.then_some((self.pose(), at))
+    }
+
     /// The twist.
     #[must_use]
     pub fn twist(&self) -> Velocity {

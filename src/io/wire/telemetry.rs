@@ -149,7 +149,7 @@ wire_type! {
         latency_p99_ms: f64,
         /// Largest since the start.
         latency_max_ms: f64,
-        /// Newest set: demodulate, matched filter, delay and sum, envelope, masked energy.
+        /// Newest set: demodulate, matched filter, delay and sum, envelope with focus, masked energy.
         stage_ms: [f64; 5],
         /// Channels left out, by sensor.
         bad_channel_count: [u32; SENSORS_MAX],
@@ -165,6 +165,14 @@ wire_type! {
         recording: u32 as recording_name,
         /// Adapter or instruction set that images, UTF-8, filled up with zeros.
         adapter: [u8; ADAPTER_BYTES],
+        /// Speed of sound that each sensor's direct path tells; 0 while it is not known.
+        heard_speed_m_s: [f64; SENSORS_MAX],
+        /// Standard deviation of its change since the calibration or the start.
+        heard_speed_sd_m_s: [f64; SENSORS_MAX],
+        /// What has drifted, by sensor: 1 speed of sound, 2 microphone moved, 4 gain, 8 emitter weaker, 16 emitter moved.
+        drift: [u32; SENSORS_MAX],
+        /// Looks for drift so far, the fewest of any sensor.
+        drift_looks: u32,
     }
 }
 

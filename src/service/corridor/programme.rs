@@ -5,15 +5,10 @@
 
 use super::{Corridor, CorridorRun};
 use crate::detect::{Detector, ProjectionParams};
-use crate::service::ServiceError;
 use crate::service::trial::TrialRig;
+use crate::service::{ServiceError, crew};
 use serde::Serialize;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::mpsc;
-use std::time::Duration;
 
-/// Pause between two reports of progress.
-const REPORT_PAUSE: Duration = Duration::from_millis(200);
 /// Limits of the classical detector in the table.
 const CLASSICAL_LIMITS_M: [f64; 4] = [0.2, 0.3, 0.4, 0.5];
 
@@ -140,41 +135,10 @@ impl CorridorProgramme<'_> {
     /// The first run that could not be driven, or when no thread can be started.
     pub fn drive(&self, progress: &mut dyn FnMut(u64)) -> Result<Vec<Vec<CorridorRun>>, ServiceError> {
         let count = self.entries.len() * self.runs as usize;
-        let (next, done) = (AtomicUsize::new(0), AtomicU64::new(0));
-        let mut finished: Vec<Option<Result<CorridorRun, ServiceError>>> = Vec::new();
-        finished.resize_with(count, || None);
-        std::thread::scope(|scope| {
-            let (sender, receiver) = mpsc::channel();
-            for worker in 0..self.jobs.clamp(1, count.max(1)) {
-                let (sender, next, done) = (sender.clone(), &next, &done);
-                let work = move || {
-                    loop {
-                        let index = next.fetch_add(1, Ordering::Relaxed);
-                        if index >= count || sender.send((index, self.run(index))).is_err() {
-                            break;
-                        }
-                        done.fetch_add(1, Ordering::Relaxed);
-                    }
-                };
-                let named = std::thread::Builder::new().name(format!("noctule-corridor-{worker}"));
-                named
-                    .spawn_scoped(scope, work)
-                    .map_err(|error| ServiceError::Internal(format!("no thread: {error}")))?;
-            }
-            drop(sender);
-            loop {
-                match receiver.recv_timeout(REPORT_PAUSE) {
-                    Ok((index, run)) => finished[index] = Some(run),
-                    Err(mpsc::RecvTimeoutError::Timeout) => {}
-                    Err(mpsc::RecvTimeoutError::Disconnected) => return Ok::<(), ServiceError>(()),
-                }
-                progress(done.load(Ordering::Relaxed));
-            }
-        })?;
-        let runs: Vec<CorridorRun> = finished.into_iter().flatten().collect::<Result<_, _>>()?;
-        if runs.len() != count {
-            return Err(ServiceError::Internal("a run was lost".to_owned()));
-        }
+        let mut tell = |finished: &[Option<_>]| progress(finished.iter().flatten().count() as u64);
+        let work = |(): &mut (), index| self.run(index);
+        let runs = crew::work_off(count, self.jobs, "noctule-corridor", || (), work, &mut tell)?;
+        let runs: Vec<CorridorRun> = runs.into_iter().collect::<Result<_, _>>()?;
         Ok(runs.chunks(self.runs.max(1) as usize).map(<[CorridorRun]>::to_vec).collect())
     }
 

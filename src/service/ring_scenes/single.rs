@@ -101,6 +101,7 @@ impl Singles {
         let ahead = vec![Direction::horizontal(0.0)];
         let plan = ImagingPlan::new(&sensors, &hidden, &recording, &config.imaging, ahead, speed_of_sound_m_s)?;
         let setup = SensingSetup {
+            uncalibrated: sensors.clone(),
             sensors,
             plan: Arc::new(plan),
             recording,
