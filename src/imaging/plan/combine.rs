@@ -50,7 +50,7 @@ impl Combine {
             (Beamformer::DelayAndSum, None) => 1,
             (Beamformer::MinimumVariance, None) => 1,
             (Beamformer::DelayAndSum | Beamformer::MinimumVariance, Some(order)) => {
-                let allowed = "nothing but with beamformer = \"delay-multiply-and-sum\"";
+                let allowed = format!("2 to {ORDER_MAX}, with beamformer = \"delay-multiply-and-sum\" alone");
                 return Err(ParameterError::new("imaging.multiply_order", order, allowed));
             }
             (Beamformer::DelayMultiplyAndSum, order) => order.unwrap_or(2),
