@@ -6,7 +6,7 @@
 // common/fft.wgsl); the last one keeps the K bins of the band only, and multiplies with the reference and the channel's gain
 // (with PHAT after bringing the bin to unit magnitude).
 //
-// Bindings: 1 PCM in phase rows, 2 taps [phase][tap] in pairs, 3 source and 4 output [channel][n], 5 reference [bin],
+// Bindings: 1 PCM in phase rows, 2 taps [phase][tap] in pairs, 3 source and 4 output [channel][n], 5 reference [sensor][bin],
 // 6 gains [channel], of all sensors. Channels are rows, sensor * stride + channel.
 // Workgroups: 64 along outputs; 16 butterflies by 8 rows, since a row has few butterflies and lanes along a row read neighbours.
 
@@ -132,6 +132,7 @@ fn keep_bin(row: u32, q: u32, k: u32) {
         value = select(vec2<f32>(0.0), value / sqrt(power), power > PHAT_POWER_MIN);
     }
     let gain = gains[params.sensor_first * params.channel_stride + row];
+    let own = reference[(params.sensor_first + row / params.channel_stride) * params.bin_count + bin];
     // A channel left out, or a sensor that did not deliver, gives zeros whatever the transform holds.
-    output[row * params.bin_count + bin] = select(multiply(value, reference[bin]) * gain, vec2<f32>(0.0), gain == 0.0);
+    output[row * params.bin_count + bin] = select(multiply(value, own) * gain, vec2<f32>(0.0), gain == 0.0);
 }

@@ -5,6 +5,7 @@
 //! the modules; no module imports this one. Exit code of its errors is 78.
 
 mod layouts;
+mod plan;
 mod reference;
 #[cfg(test)]
 mod tests;
@@ -26,9 +27,7 @@ use crate::imaging::steering;
 use crate::io::IpcParams;
 use crate::parameter::ParameterError;
 use crate::safety::{GateParams, MotionLimits, SafetyParams};
-use crate::sensor::{
-    self, DeadZone, Emission, EmissionParams, RecordingFormat, RecordingParams, SensorParams, SensorSetup,
-};
+use crate::sensor::{self, DeadZone, EmissionParams, RecordingFormat, RecordingParams, SensorParams, SensorSetup};
 use crate::signal::Direction;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -221,23 +220,14 @@ impl Config {
         self.recording.resolve().map_err(|error| error.within("recording"))
     }
 
-    /// The emission at the demodulated sample rate.
-    ///
-    /// # Errors
-    /// What is wrong with `[emission]`, its file or `[recording]`.
-    pub fn emission(&self) -> Result<Emission, ParameterError> {
-        let rate_hz = self.recording()?.demodulated_rate_hz();
-        Emission::new(&self.emission, rate_hz, &self.base_dir).map_err(|error| error.within("emission"))
-    }
-
-    /// The sensors as they stand on the robot, sharing one emission, with what `[calibration]` applies.
+    /// The sensors as they stand on the robot, with what `[calibration]` applies; those with equal emissions share one.
     ///
     /// # Errors
     /// What is wrong with a `[[sensor]]`, its array, or the emission.
     pub fn sensor_setups(&self) -> Result<Vec<SensorSetup>, ParameterError> {
-        let emission = Arc::new(self.emission()?);
+        let emissions = self.emissions()?;
         let setup = |(index, params): (usize, &SensorParams)| {
-            let setup = params.setup(Arc::clone(&emission), &self.base_dir);
+            let setup = params.setup(Arc::clone(&emissions[index]), &self.base_dir);
             let mut setup = setup.map_err(|error| error.within(&format!("sensor[{index}]")))?;
             if let Some(measured) = self.calibration.measured.as_ref().and_then(|file| file.sensor(&setup.name)) {
                 measured.check_fits(&setup).map_err(|error| error.within("calibration.file"))?;

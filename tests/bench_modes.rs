@@ -46,6 +46,27 @@ fn latency_is_that_of_daemon_and_controller_and_nothing_is_left_of_them() {
 }
 
 #[test]
+fn emission_plans_are_compared_by_what_they_reject_blur_and_cost() {
+    let report = json(&bench(&["--emissions", "--places", "1", "--json"]));
+    let rows = report["emissions"].as_array().expect("rows");
+    let of = |name: &str, key: &str| {
+        let row = rows.iter().find(|row| row["name"] == name).unwrap_or_else(|| panic!("{name}: {rows:?}"));
+        row[key].clone()
+    };
+    assert_eq!(rows.len(), 5);
+    let (same, bands, turns) = ("together, same sweep", "together, bands", "in turn, same sweep");
+    assert!(of(same, "rejection_db").is_null() && of(bands, "rejection_db").as_f64().expect("a number") > 30.0);
+    let width = |name: &str| of(name, "width_m").as_f64().expect("a number");
+    assert!(width(bands) > 2.0 * width(same) && width(turns) == width(same));
+    let added = |name: &str| of(name, "added_s").as_f64().expect("a number");
+    assert!(added(same) == 0.0 && (added(turns) - 0.0634).abs() < 1e-9, "{}", added(turns));
+    assert_eq!(of(same, "robot")["ping_sets"], 4);
+    assert!(of(turns, "other_robot").is_null());
+    let refused = bench(&["--places", "3"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
+}
+
+#[test]
 fn time_and_memory_grow_with_the_work_and_never_fall_off_a_cliff() {
     let folder = tempfile::tempdir().expect("folder");
     let plot = folder.path().join("scaling.png");

@@ -40,6 +40,11 @@ struct Bench {
 impl Bench {
     /// The misbehaving driver believes in `bad`.
     fn new(bad: RawShape) -> Self {
+        Self::in_turn(bad, 0)
+    }
+
+    /// And the sensors fire `slot_ns` after one another.
+    fn in_turn(bad: RawShape, slot_ns: u64) -> Self {
         let place = Place::new();
         let sensors: Vec<_> = NAMES.iter().map(|name| ((*name).to_owned(), shape())).collect();
         let topics = LiveTopics::open(&place.ipc, &sensors).expect("topics");
@@ -48,7 +53,7 @@ impl Bench {
         };
         Self {
             drivers: NAMES.iter().enumerate().map(open).collect(),
-            source: LiveSource::new(topics, NAMES.len(), GROUP_DEADLINE),
+            source: LiveSource::new(topics, NAMES.len(), GROUP_DEADLINE, slot_ns),
             pings: PingSet::empty(3, SampleFormat::PcmI16, &[shape().len(); 3]),
             sequence: 0,
             _place: place,
@@ -181,4 +186,32 @@ fn a_flood_of_one_driver_does_not_keep_the_others_waiting() {
     assert!(sets > 0, "nothing was delivered");
     // It was asked to wait 20 ms at most; the rest is the machine's.
     assert!(worst <= Duration::from_millis(200), "{worst:?}");
+}
+
+#[test]
+fn sensors_that_fire_in_turn_are_one_set_whose_deadline_counts_from_the_last_turn() {
+    // More than what counts as one emission, so that stamps alone would make three sets of it.
+    const SLOT_NS: u64 = 25 * MS;
+    let ahead_ns = 2 * SLOT_NS;
+    let heard = |slot_ns: u64| {
+        let mut bench = Bench::in_turn(shape(), slot_ns);
+        let first = SystemClock.now();
+        let first = Stamp { boottime_ns: first.boottime_ns - ahead_ns, wall_ns: first.wall_ns - ahead_ns };
+        let pings: Vec<RawPing> =
+            (0..3).map(|index| bench.ping(index, first.plus_ns(SLOT_NS * index as u64))).collect();
+        let mut told = Vec::new();
+        for ping in &pings {
+            bench.drivers[ping.sensor_index].publish(ping).expect("published");
+            // Longer than the deadline, shorter than a turn.
+            let limit = GROUP_DEADLINE + Duration::from_millis(5);
+            if bench.source.next_ping_set(&mut bench.pings, limit).expect("goes on") == Delivery::Set {
+                told.push((bench.pings.present, bench.pings.emitted_at == first));
+            }
+        }
+        told
+    };
+    assert_eq!(heard(SLOT_NS), [([true; 3], true)]);
+    // Negative control: a source that knows of no turns gives each up for a set of its own.
+    let apart = heard(0);
+    assert!(apart.len() == 3 && apart.iter().all(|(present, _)| *present != [true; 3]), "{apart:?}");
 }

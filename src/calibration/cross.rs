@@ -10,6 +10,7 @@ use super::measure::{Tolerances, measure};
 use super::observe::Observer;
 use crate::sensor::SensorSetup;
 use nalgebra::Vector3;
+use std::sync::Arc;
 
 /// Correlation coefficient from which another's emission counts as heard: the listener's own direct path lies over it, and side
 /// lobes of that reach 0.05.
@@ -25,7 +26,8 @@ const SPEED_SD_M_S: f64 = 100.0;
 pub fn hearing(listener: &SensorSetup, other: &SensorSetup) -> SensorSetup {
     let place_m = other.mount.pose().parent_from_local(other.emitter_m.xy());
     let local_m = listener.mount.pose().local_from_parent(place_m);
-    SensorSetup { emitter_m: Vector3::new(local_m.x, local_m.y, other.emitter_m.z), ..listener.clone() }
+    let emitter_m = Vector3::new(local_m.x, local_m.y, other.emitter_m.z);
+    SensorSetup { emitter_m, emission: Arc::clone(&other.emission), ..listener.clone() }
 }
 
 /// What the air is by what `observer` heard of [`hearing`]'s sensor; `mount_sd_m` is how well the distance between the two is known.

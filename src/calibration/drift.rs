@@ -190,13 +190,13 @@ impl DriftMonitor {
     /// of sound that images are made with.
     #[must_use]
     pub fn new(plan: &ImagingPlan, nominal: &[SensorSetup], params: &CalibrationParams, used_m_s: f64) -> Self {
-        let sweep = nominal.first().map(|sensor| Arc::new(Sweep::new(&sensor.emission)));
         let watched = nominal.iter().filter(|_| params.watch);
         let sensors: Vec<SensorDrift> = watched
-            .filter_map(|sensor| {
+            .map(|sensor| {
+                let sweep = Arc::new(Sweep::new(&sensor.emission));
                 let measured = params.measured.as_ref().and_then(|file| file.sensor(&sensor.name));
                 let applied = params.apply.contains(&Applied::SpeedOfSound);
-                Some(SensorDrift::new(plan, sensor, sweep.as_ref()?, measured.map(|found| (found, applied)), used_m_s))
+                SensorDrift::new(plan, sensor, &sweep, measured.map(|found| (found, applied)), used_m_s)
             })
             .collect();
         let most = nominal.iter().map(|sensor| sensor.array.channel_count()).max().unwrap_or(0);

@@ -282,6 +282,7 @@ pub struct MasksArguments {
   noctule bench                                  every stage, CPU and GPU side by side, beside the counted floor
   noctule bench --latency --busy                 last sample to command, idle and with all cores at work
   noctule bench --beamformers --plot sharp.png   what each beamformer makes of the same scenes, and what it costs
+  noctule bench --emissions --plot plans.png     how well each emission plan keeps the sensors' sounds apart
   noctule bench --scaling --plot scaling.png     time and memory against microphones, directions, sensors, samples")]
 pub struct BenchArguments {
     #[command(flatten)]
@@ -316,7 +317,14 @@ pub struct BenchArguments {
     /// Compare the beamformers on the same scenes instead: width of the main lobe, side lobes, weakest echo still seen, time.
     #[arg(long, conflicts_with_all = ["latency", "scaling"])]
     pub beamformers: bool,
-    /// Draw what --scaling measured, or the images of --beamformers.
+    /// Compare plans of emission instead, on the CPU: how well each keeps the sensors' sounds apart, and what it costs.
+    #[arg(long, conflicts_with_all = ["latency", "scaling", "beamformers"])]
+    pub emissions: bool,
+    /// Places of each room that --emissions listens at.
+    #[arg(long, value_name = "N", default_value_t = 25, requires = "emissions",
+          value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub places: u32,
+    /// Draw what --scaling measured, or the images of --beamformers or --emissions.
     #[arg(long, value_name = "F.png", conflicts_with = "latency")]
     pub plot: Option<PathBuf>,
     /// Measure one configuration in this process; for the command's own use.

@@ -1,7 +1,8 @@
 //! `noctule bench`: every stage and the whole ping set, one to three sensors, each backend, on simulated pings, beside the counted
-//! floor; with `--beamformers` what each beamformer makes of the same scenes, with `--latency` the way from last sample to command, with `--scaling` time against sizes.
+//! floor; with `--beamformers` what each beamformer makes of the same scenes, with `--emissions` what each emission plan is worth, with `--latency` the way from last sample to command, with `--scaling` time against sizes.
 
 mod beamformers;
+mod emissions;
 mod hop;
 mod latency;
 mod machine;
@@ -43,10 +44,10 @@ pub fn bench(arguments: &BenchArguments) -> Result<(), Failure> {
     if let Some(case) = arguments.scaling_row {
         return scaling::row(case, arguments);
     }
-    if arguments.plot.is_some() && !(arguments.scaling || arguments.beamformers) {
+    if arguments.plot.is_some() && !(arguments.scaling || arguments.beamformers || arguments.emissions) {
         return Err(Failure::new(
             exit::USAGE,
-            "--plot: found without --scaling or --beamformers, one of which it draws",
+            "--plot: found without --scaling, --beamformers or --emissions, one of which it draws",
         ));
     }
     let config = super::config::load(&arguments.choice)?;
@@ -55,6 +56,9 @@ pub fn bench(arguments: &BenchArguments) -> Result<(), Failure> {
     }
     if arguments.beamformers {
         return beamformers::beamformers(&config, arguments);
+    }
+    if arguments.emissions {
+        return emissions::emissions(&config, arguments);
     }
     if arguments.latency {
         return latency::latency(&config, arguments);

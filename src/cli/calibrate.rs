@@ -148,10 +148,11 @@ impl Listener {
         let refuse = |error| Failure::new(exit::CONFIG, error);
         let setup = wiring::sensing_of_one(config, index, format).map_err(refuse)?;
         let sensor = &setup.sensors[0];
-        let sweep = Arc::new(Sweep::new(&sensor.emission));
         let speed_m_s = setup.speed_of_sound_m_s;
-        let observe =
-            |sensor: &SensorSetup| Observer::new(&setup.plan, sensor, &sweep, speed_m_s, (ALL, f64::INFINITY), None);
+        let observe = |sensor: &SensorSetup| {
+            let sweep = Arc::new(Sweep::new(&sensor.emission));
+            Observer::new(&setup.plan, sensor, &sweep, speed_m_s, (ALL, f64::INFINITY), None)
+        };
         let all = config.sensor_setups().map_err(refuse)?;
         let others = all.into_iter().enumerate().filter(|(other, _)| *other != index);
         let others = others.map(|(_, other)| {

@@ -7,6 +7,7 @@ use crate::config::Config;
 use crate::imaging::channels::ChannelFinding;
 use crate::imaging::direct_path::{ChannelMap, DirectPath, HEARD_MIN};
 use crate::io::recording_file::{RecordingFile, is_recording};
+use crate::sensor::{EmissionParams, SensorParams};
 use crate::service::wiring::{self, SensingSetup};
 use crate::signal::{RawPing, Samples};
 use crate::sim::World;
@@ -86,6 +87,7 @@ fn check_config(config: &Config) -> Result<Report, Failure> {
         "kind": "configuration",
         "sensors": setup.sensors.iter().map(|sensor| sensor.name.clone()).collect::<Vec<_>>(),
         "speed_of_sound_m_s": setup.speed_of_sound_m_s,
+        "emissions": emission_facts(config),
         "format": plan.format.as_str(),
         "directions": plan.grid.direction_count(),
         "ranges": plan.grid.range_count(),
@@ -99,6 +101,17 @@ fn check_config(config: &Config) -> Result<Report, Failure> {
         "ipc_prefix": config.ipc.prefix,
     });
     Ok(Report { facts, findings })
+}
+
+/// Who sends what when, a sentence a sensor.
+fn emission_facts(config: &Config) -> Vec<String> {
+    let sentence = |(index, sensor): (usize, &SensorParams)| {
+        let EmissionParams { shape, start_hz, end_hz, duration_s, .. } = config.emission_of(index);
+        let shape = format!("{shape:?}").to_lowercase();
+        let (start_khz, end_khz, turn_ms) = (start_hz / 1e3, end_hz / 1e3, 1e3 * config.slot_s() * index as f64);
+        format!("{} {shape} {start_khz} to {end_khz} kHz in {} ms at {turn_ms:.1} ms", sensor.name, 1e3 * duration_s)
+    };
+    config.sensor.iter().enumerate().map(sentence).collect()
 }
 
 /// What of a calibration is in force; null without one.

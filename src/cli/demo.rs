@@ -52,7 +52,7 @@ pub fn demo(arguments: &DemoArguments) -> Result<(), Failure> {
     prefer_pcm(&mut config);
     load_world(arguments.world.as_deref())?;
     let recording = config.recording().map_err(|error| Failure::new(exit::CONFIG, error))?;
-    let recording_ns = (recording.duration_s() * 1e9) as u64;
+    let recording_ns = (config.set_duration_s(&recording) * 1e9) as u64;
     wiring::sensing(&config).map_err(|error| Failure::new(exit::CONFIG, error))?;
     let stop = stop_flag()?;
     let ipc = Ipc::open(&config.ipc).map_err(|error| ipc_failure(&error))?;

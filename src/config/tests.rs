@@ -215,7 +215,7 @@ fn paths_are_relative_to_the_file() {
     std::fs::write(&path, text).unwrap();
     let config = Config::load(&path).unwrap();
     assert_eq!(config.sensor_setups().unwrap()[0].array.channel_count(), 2);
-    assert_eq!((config.directions().unwrap().len(), config.emission().unwrap().samples.len()), (2, 4));
+    assert_eq!((config.directions().unwrap().len(), config.emissions().unwrap()[0].samples.len()), (2, 4));
     assert_eq!(config.ipc.root.as_deref(), Some(folder.path().join("shm").as_path()));
     std::fs::write(folder.path().join("fan.csv"), "azimuth_deg,elevation_deg\n-10,0\n300,5\n").unwrap();
     let error = Config::load(&path).unwrap_err();

@@ -2,12 +2,13 @@
 //!
 //! Goes in: a [`Config`] and the files it names. Comes out: the first error as a dotted key, or warnings. Changes nothing.
 
-use super::{CONFIG_VERSION, Config, zone};
+use super::{CONFIG_VERSION, Config, plan, zone};
 use crate::imaging::params::{ImagingParams, RANGE_STEP_M, SMOOTHING_MIN_HZ};
 use crate::imaging::plan::combine::Combine;
 use crate::parameter::{ParameterError, check_range};
 use crate::sensor::{Emission, RecordingFormat, SensorSetup, air};
 use crate::signal::{SENSORS_MAX, SampleFormat};
+use std::sync::Arc;
 
 /// Bits of a PDM word.
 const PDM_CHANNELS_MAX: usize = 32;
@@ -26,15 +27,22 @@ pub(super) fn validate(config: &Config) -> Result<(), ParameterError> {
     check_air(config)?;
     let recording = config.recording()?;
     config.emission.validate().map_err(|error| error.within("emission"))?;
-    let emission = config.emission()?;
-    check_band(config, &recording, &emission)?;
+    check_sensor_count(config)?;
+    for index in 0..config.sensor.len() {
+        config.emission_of(index).validate().map_err(|error| config.at_emission(index, error))?;
+    }
+    let emissions = config.emissions()?;
+    for (index, emission) in emissions.iter().enumerate() {
+        check_band(config, &recording, index, emission)?;
+    }
     config.calibration.validate().map_err(|error| error.within("calibration"))?;
-    check_imaging(config, &recording, &emission)?;
+    check_imaging(config, &recording, &emissions)?;
     check_sensors(config, &recording)?;
     config.platform.validate().map_err(|error| error.within("platform"))?;
     config.control.validate().map_err(|error| error.within("control"))?;
     config.ipc.validate().map_err(|error| error.within("ipc"))?;
     config.safety.validate().map_err(|error| error.within("safety"))?;
+    plan::check(config, &recording)?;
     config.detect.validate().map_err(|error| error.within("detect"))?;
     zone::check(config)
 }
@@ -55,50 +63,65 @@ fn check_air(config: &Config) -> Result<(), ParameterError> {
 }
 
 /// The sweep and the passband's edges must fit between zero and half the demodulated rate.
-fn check_band(config: &Config, recording: &RecordingFormat, emission: &Emission) -> Result<(), ParameterError> {
+fn check_band(
+    config: &Config,
+    recording: &RecordingFormat,
+    index: usize,
+    emission: &Emission,
+) -> Result<(), ParameterError> {
     let (low_hz, high_hz) = emission.band_hz;
+    let params = config.emission_of(index);
     let edge_hz = PASSBAND_EDGE * (high_hz - low_hz);
     let nyquist_hz = 0.5 * recording.demodulated_rate_hz();
     let (low_key, high_key) =
-        if config.emission.start_hz < config.emission.end_hz { ("start_hz", "end_hz") } else { ("end_hz", "start_hz") };
+        if params.start_hz < params.end_hz { ("start_hz", "end_hz") } else { ("end_hz", "start_hz") };
+    let refuse = |key: &str, found_hz: f64, allowed: String| {
+        Err(config.at_emission(index, ParameterError::new(key, found_hz, allowed)))
+    };
     if !(high_hz + edge_hz < nyquist_hz) {
         let allowed = format!(
             "a band whose upper edge ({:.0} Hz with the passband's {edge_hz:.0} Hz) lies below {nyquist_hz:.0} Hz, half the \
              demodulated sample rate",
             high_hz + edge_hz
         );
-        return Err(ParameterError::new(format!("emission.{high_key}"), high_hz, allowed));
+        return refuse(high_key, high_hz, allowed);
     }
     if !(low_hz - edge_hz > 0.0) {
         let allowed = format!(
             "a band whose lower edge ({:.0} Hz with the passband's {edge_hz:.0} Hz) lies above 0 Hz",
             low_hz - edge_hz
         );
-        return Err(ParameterError::new(format!("emission.{low_key}"), low_hz, allowed));
+        return refuse(low_key, low_hz, allowed);
     }
     Ok(())
 }
 
-/// The range step that is fine enough for any echo: the smaller of 5 mm and c / (2.4 bandwidth).
-fn fine_step_m(config: &Config, emission: &Emission) -> f64 {
-    (config.speed_of_sound_m_s() / (2.4 * (emission.band_hz.1 - emission.band_hz.0))).min(5e-3)
+/// The range step that is fine enough for any echo: the smaller of 5 mm and c / (2.4 bandwidth) of the widest band.
+fn fine_step_m(config: &Config, emissions: &[Arc<Emission>]) -> f64 {
+    let widest_hz = emissions.iter().map(|emission| emission.band_hz.1 - emission.band_hz.0).fold(0.0, f64::max);
+    (config.speed_of_sound_m_s() / (2.4 * widest_hz)).min(5e-3)
 }
 
-fn check_imaging(config: &Config, recording: &RecordingFormat, emission: &Emission) -> Result<(), ParameterError> {
+fn check_imaging(
+    config: &Config,
+    recording: &RecordingFormat,
+    emissions: &[Arc<Emission>],
+) -> Result<(), ParameterError> {
     let ImagingParams { range_min_m, range_max_m, range_step_m, smoothing_hz, .. } = config.imaging;
     check_range("imaging.range_min_m", range_min_m, 0.0, 100.0)?;
     if !(range_max_m > range_min_m) {
         let allowed = format!("a range above range_min_m, {range_min_m}");
         return Err(ParameterError::new("imaging.range_max_m", range_max_m, allowed));
     }
-    let heard_s = recording.duration_s() - emission.duration_s();
+    let longest_s = emissions.iter().map(|emission| emission.duration_s()).fold(0.0, f64::max);
+    let heard_s = recording.duration_s() - longest_s;
     let reach_m = 0.5 * config.speed_of_sound_m_s() * heard_s;
     if !(range_max_m <= reach_m) {
         let allowed = format!(
             "at most {:.3} m: a ping of {:.2} ms hears whole echoes of {:.2} ms from no farther",
             reach_m.max(0.0),
             1e3 * recording.duration_s(),
-            1e3 * emission.duration_s()
+            1e3 * longest_s
         );
         return Err(ParameterError::new("imaging.range_max_m", range_max_m, allowed));
     }
@@ -114,7 +137,7 @@ fn check_imaging(config: &Config, recording: &RecordingFormat, emission: &Emissi
     }
     Combine::new(&config.imaging)?;
     let direction_count = config.directions()?.len() as f64;
-    let range_count = (range_max_m - range_min_m) / range_step_m.unwrap_or_else(|| fine_step_m(config, emission));
+    let range_count = (range_max_m - range_min_m) / range_step_m.unwrap_or_else(|| fine_step_m(config, emissions));
     if !(direction_count * range_count <= CELLS_MAX) {
         let found = format!("{direction_count} directions by {range_count:.0} ranges");
         return Err(ParameterError::new("imaging", found, format!("at most {CELLS_MAX} cells")));
@@ -122,12 +145,16 @@ fn check_imaging(config: &Config, recording: &RecordingFormat, emission: &Emissi
     Ok(())
 }
 
-fn check_sensors(config: &Config, recording: &RecordingFormat) -> Result<(), ParameterError> {
+fn check_sensor_count(config: &Config) -> Result<(), ParameterError> {
     if !(1..=SENSORS_MAX).contains(&config.sensor.len()) {
         let found = format!("{} sensors", config.sensor.len());
         let key = if config.sensor.is_empty() { "sensor".to_owned() } else { format!("sensor[{SENSORS_MAX}]") };
         return Err(ParameterError::new(key, found, format!("1 to {SENSORS_MAX} sensors")));
     }
+    Ok(())
+}
+
+fn check_sensors(config: &Config, recording: &RecordingFormat) -> Result<(), ParameterError> {
     let setups = config.sensor_setups()?;
     for (index, sensor) in setups.iter().enumerate() {
         if let Some(first) = setups[..index].iter().position(|earlier| earlier.name == sensor.name) {
@@ -172,8 +199,8 @@ fn check_obstructions(config: &Config, setups: &[SensorSetup]) -> Result<(), Par
 
 pub(super) fn warnings(config: &Config) -> Vec<String> {
     let mut warnings = zone::warnings(config);
-    let (Ok(recording), Ok(emission)) = (config.recording(), config.emission()) else { return warnings };
-    let fine_m = fine_step_m(config, &emission);
+    let (Ok(recording), Ok(emissions)) = (config.recording(), config.emissions()) else { return warnings };
+    let fine_m = fine_step_m(config, &emissions);
     if let Some(step_m) = config.imaging.range_step_m.filter(|step_m| !(*step_m <= fine_m)) {
         warnings.push(format!(
             "imaging.range_step_m = {step_m} is coarser than {fine_m:.4}: an echo's peak can fall between two bins and read \
@@ -189,6 +216,7 @@ pub(super) fn warnings(config: &Config) -> Vec<String> {
             1e3 * period_s
         ));
     }
+    warnings.extend(plan::warnings(config, &recording));
     warnings.extend(uncalibrated(config));
     if let (Ok(setups), Ok(directions)) = (config.sensor_setups(), config.directions()) {
         warnings.extend(config.dead_zones(&setups, &directions).into_iter().flat_map(|zone| zone.warnings));

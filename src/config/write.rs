@@ -19,13 +19,25 @@ const COMMENTS: &[(&str, &str)] = &[
     ("recording.sample_rate_hz", "Rate of PDM words or PCM samples."),
     ("recording.samples", "PDM words, or PCM samples of one microphone, in a ping."),
     ("recording.decimation", "PDM words per demodulated sample; pdm only."),
-    ("emission", "The sweep sent out. With shape = \"csv\", file names the samples and start_hz, end_hz their band."),
+    (
+        "emission",
+        "The sweep sent out, and when the sensors fire. With shape = \"csv\", file names the samples and start_hz, end_hz their band.\n# Optional: file, slot_s.",
+    ),
     ("emission.shape", "\"hyperbolic\", \"linear\" or \"csv\""),
     ("emission.start_hz", "Frequency at the start."),
     ("emission.end_hz", "Frequency at the end."),
     ("emission.duration_s", "Duration."),
     ("emission.taper", "Share of the duration that the fade at each end takes, 0 to 0.5."),
     ("emission.file", "CSV of samples at the demodulated rate, relative to this file."),
+    ("emission.plan", "When the sensors of a ping set fire: \"together\", or \"in-turn\", one after another."),
+    (
+        "emission.sweeps",
+        "What they send: \"same\", \"alternate\" (every second one from the other end) or \"bands\" (each its part of the band).",
+    ),
+    (
+        "emission.slot_s",
+        "From one sensor's emission to the next one's, in turn. Default: until the end of an echo of the longest range.",
+    ),
     (
         "imaging",
         "Sonar images. Optional: range_step_m (default: the smaller of 5 mm and c / (2.4 bandwidth)), smoothing_hz, focus_to_m, multiply_order.",
@@ -61,6 +73,10 @@ const COMMENTS: &[(&str, &str)] = &[
     ("sensor.array", "\"ertis-v3d1\", or a CSV file of mic,x_m,y_m,z_m rows, relative to this file."),
     ("sensor.disabled_mics", "Microphones that are not used, counted from 0."),
     ("sensor.emitter_m", "Place of the emitter in the sensor's frame: forward, left, up."),
+    (
+        "sensor.emission",
+        "What this sensor sends other than [emission] says: any of shape, start_hz, end_hz, duration_s, taper, file.",
+    ),
     ("obstruction", "A shape in the robot frame that hides what is behind it."),
     ("platform", "The robot."),
     ("platform.radius_m", "Radius of its footprint, a disc about the centre of rotation."),
@@ -212,6 +228,8 @@ pub(super) fn commented() -> impl Iterator<Item = &'static str> {
 
 /// Tables that are written in one line.
 const INLINE: [&str; 2] = ["mount", "directions"];
+/// And where a key of the same name is a table of its own elsewhere.
+const INLINE_PATHS: [&str; 1] = ["sensor.emission"];
 
 pub(super) fn to_toml(config: &Config) -> String {
     let mut document = match toml_edit::ser::to_document(config) {
@@ -237,7 +255,9 @@ fn lay_out(path: &str, table: &mut Table) {
         let text = comment(&key_path).map_or(String::new(), |text| format!("# {text}\n"));
         let Some(item) = table.get_mut(&key) else { continue };
         match item {
-            Item::Value(Value::InlineTable(inline)) if !INLINE.contains(&key.as_str()) => {
+            Item::Value(Value::InlineTable(inline))
+                if !INLINE.contains(&key.as_str()) && !INLINE_PATHS.contains(&key_path.as_str()) =>
+            {
                 let mut section = std::mem::take(inline).into_table();
                 lay_out(&key_path, &mut section);
                 section.decor_mut().set_prefix(format!("\n{text}"));

@@ -354,6 +354,7 @@ mod tests {
             delays_s: std::sync::Arc::new(vec![0.0; 5]),
             hidden: vec![false],
             steering_of: 0,
+            reference: std::sync::Arc::default(),
             clip_after_s: 0.0,
         };
         let mut report = ChannelReport::new(5);

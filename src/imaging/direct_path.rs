@@ -68,12 +68,15 @@ impl DirectPath {
     /// Prepares for the sensors of a plan, in its order.
     #[must_use]
     pub fn new(plan: &ImagingPlan, sensors: &[SensorSetup], speed_of_sound_m_s: f64) -> Self {
-        // All sensors send the same emission; the plan insists.
-        let template = sensors.first().map(|sensor| Arc::new(Template::new(&sensor.emission)));
-        let path = |sensor: &SensorSetup| {
-            template.as_ref().map(|template| SensorPath::new(plan, sensor, template, speed_of_sound_m_s))
-        };
-        Self { sensors: sensors.iter().filter_map(path).collect() }
+        // Sensors with equal emissions share a template.
+        let mut templates: Vec<Arc<Template>> = Vec::new();
+        for (index, sensor) in sensors.iter().enumerate() {
+            let twin = sensors[..index].iter().position(|other| other.emission == sensor.emission);
+            templates
+                .push(twin.map_or_else(|| Arc::new(Template::new(&sensor.emission)), |at| Arc::clone(&templates[at])));
+        }
+        let path = |(sensor, template)| SensorPath::new(plan, sensor, template, speed_of_sound_m_s);
+        Self { sensors: sensors.iter().zip(&templates).map(path).collect() }
     }
 
     /// Listens to a ping. Allocates nothing.

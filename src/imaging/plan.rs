@@ -26,10 +26,12 @@ pub mod combine;
 mod filters;
 mod floor;
 pub mod focus;
+mod reference;
 mod sizes;
 
 pub use floor::StageFloor;
 pub use focus::FocusPlan;
+use reference::Band;
 #[cfg(feature = "gpu")]
 pub(super) use sizes::is_smooth;
 
@@ -56,7 +58,7 @@ const CHANNELS_MAX: usize = 256;
 /// With PHAT, bins whose squared magnitude before weighting is not above this are zero: silence has no phase.
 pub const PHAT_POWER_MIN: f32 = 1e-24;
 
-/// Sizes and tables for all sensors. Sensors share everything but array, steering and dead zones.
+/// Sizes and tables for all sensors. Sensors share everything but array, steering, dead zones and what they send.
 #[derive(Debug, Clone)]
 pub struct ImagingPlan {
     /// Format of the raw samples.
@@ -84,8 +86,6 @@ pub struct ImagingPlan {
     pub bin_count: usize,
     /// Frequency of bin k is k times this.
     pub bin_step_hz: f64,
-    /// `[bin]`, see the module's header.
-    pub reference: Vec<[f32; 2]>,
     /// M: length of the inverse transform.
     pub inverse_len: usize,
     /// Weighting of every bin to unit magnitude before the passband (PHAT).
@@ -113,38 +113,17 @@ pub struct SensorPlan {
     pub hidden: Vec<bool>,
     /// Index of the first sensor with the same delays: steering is shared with it.
     pub steering_of: usize,
+    /// `[bin]`, see the module's header: of what this sensor sends, zero outside its own passband. Sensors with equal emissions share one.
+    pub reference: Arc<Vec<[f32; 2]>>,
     /// Time after which clipping counts: end of the emission + 2 ms.
     pub clip_after_s: f64,
-}
-
-/// The numbers that the parts of the plan are made from.
-struct Band {
-    low_hz: f64,
-    high_hz: f64,
-    edge_hz: f64,
-}
-
-impl Band {
-    /// P(f): 1 inside, raised-cosine edges outside, 0 beyond.
-    fn gain(&self, frequency_hz: f64) -> f64 {
-        let outside_hz = (self.low_hz - frequency_hz).max(frequency_hz - self.high_hz).max(0.0);
-        if outside_hz < self.edge_hz { 0.5 * (1.0 + (PI * outside_hz / self.edge_hz).cos()) } else { 0.0 }
-    }
-
-    fn width_hz(&self) -> f64 {
-        self.high_hz - self.low_hz + 2.0 * self.edge_hz
-    }
-
-    fn centre_hz(&self) -> f64 {
-        0.5 * (self.low_hz + self.high_hz)
-    }
 }
 
 impl ImagingPlan {
     /// Makes every size and table.
     ///
-    /// `hidden` has one list a sensor with one entry a direction. All sensors must send the same emission, at the demodulated
-    /// sample rate. Keys of errors are dotted paths from the root of the configuration.
+    /// `hidden` has one list a sensor with one entry a direction. Sensors may send different emissions, all at the demodulated
+    /// sample rate; the band is then wide enough for all of them. Keys of errors are dotted paths from the root of the configuration.
     ///
     /// # Errors
     /// If a value lies outside its limits, or values do not go together: a band beyond half the sample rate, a range beyond the
@@ -159,17 +138,18 @@ impl ImagingPlan {
     ) -> Result<ImagingPlan, ParameterError> {
         check_sensors(sensors, hidden, recording, directions.len())?;
         check_range("speed_of_sound_m_s", speed_of_sound_m_s, 50.0, 10_000.0)?;
-        let emission = Arc::clone(&sensors[0].emission);
         let rate_hz = recording.demodulated_rate_hz();
-        let band = checked_band(&emission, rate_hz)?;
-        let sensors = &apodized(sensors, params, &directions, &band, speed_of_sound_m_s)[..];
-        let step_m = checked_step(params, recording, &band, speed_of_sound_m_s)?;
+        let bands = Band::of(sensors, rate_hz)?;
+        let (band, widths_hz) = (Band::around(&bands), Band::widths_hz(&bands));
+        let sensors = &apodized(sensors, params, &directions, &bands, speed_of_sound_m_s)[..];
+        let step_m = checked_step(params, recording, widths_hz.1, speed_of_sound_m_s)?;
         let smoothing_half = params.smoothing_hz.map_or(0.0, |cutoff_hz| rate_hz / cutoff_hz);
 
         let delays = plane_wave_delays(sensors, params, &directions, speed_of_sound_m_s);
         let steer_s = delays.iter().flat_map(|table| table.iter()).fold(0.0, |most: f64, delay| most.max(delay.abs()));
         let last_s = 2.0 * params.range_max_m / speed_of_sound_m_s + steer_s;
-        let used = checked_span(last_s * rate_hz + smoothing_half, rate_hz, &band)? + emission.samples.len();
+        let sent = sensors.iter().map(|sensor| sensor.emission.samples.len()).max().unwrap_or(0);
+        let used = checked_span(last_s * rate_hz + smoothing_half, rate_hz, widths_hz.0)? + sent;
         let wanted = sizes::Wanted {
             sample_rate_hz: rate_hz,
             width_hz: band.width_hz(),
@@ -201,15 +181,14 @@ impl ImagingPlan {
             first_bin,
             bin_count: last_bin + 1 - first_bin,
             bin_step_hz,
-            reference: Vec::new(),
             inverse_len: sizes.inverse_len,
             phat: params.weighting == Weighting::Phat,
             smoothing_taps: Vec::new(),
             focus: None,
             grid: Arc::new(grid),
-            sensors: sensor_plans(sensors, hidden, &delays, emission.samples.len() as f64 / rate_hz + CLIP_GRACE_S),
+            sensors: sensor_plans(sensors, hidden, &delays, rate_hz),
         };
-        plan.reference = reference(&plan, &band, &emission, 2.0 * params.range_min_m / speed_of_sound_m_s);
+        reference::fill(&mut plan, &bands, sensors, 2.0 * params.range_min_m / speed_of_sound_m_s);
         plan.smoothing_taps = smoothing_taps(&plan, params)?;
         plan.focus = focus::focus(&plan, sensors, params, &band, speed_of_sound_m_s)?;
         Ok(plan)
@@ -270,9 +249,6 @@ fn check_sensors(
             let allowed = "weights not below zero and positions within 100 m";
             return Err(ParameterError::new(format!("sensor[{index}].array"), "a value out of bounds", allowed));
         }
-        if !Arc::ptr_eq(&sensor.emission, &sensors[0].emission) && sensor.emission != sensors[0].emission {
-            return Err(ParameterError::new("emission", "several", "one emission for all sensors"));
-        }
     }
     Ok(())
 }
@@ -296,42 +272,23 @@ fn apodized(
     sensors: &[SensorSetup],
     params: &ImagingParams,
     directions: &[Direction],
-    band: &Band,
+    bands: &[Band],
     speed_of_sound_m_s: f64,
 ) -> Vec<SensorSetup> {
     let mut sensors = sensors.to_vec();
     if params.apodization == Apodization::LowSideLobes {
-        for sensor in &mut sensors {
+        for (sensor, band) in sensors.iter_mut().zip(bands) {
             sensor.array.weights = apodization::low_side_lobes(sensor, directions, band, speed_of_sound_m_s);
         }
     }
     sensors
 }
 
-fn checked_band(emission: &Emission, rate_hz: f64) -> Result<Band, ParameterError> {
-    let (low_hz, high_hz) = emission.band_hz;
-    let edge_hz = EDGE_SHARE * (high_hz - low_hz);
-    if !((emission.sample_rate_hz / rate_hz - 1.0).abs() < 1e-9) {
-        let allowed = format!("{rate_hz} Hz, the demodulated sample rate");
-        return Err(ParameterError::new("emission.file", format!("{} Hz", emission.sample_rate_hz), allowed));
-    }
-    if !(low_hz > 0.0 && edge_hz > 0.0 && high_hz + edge_hz < 0.5 * rate_hz) {
-        let allowed = format!(
-            "a band above 0 Hz that ends, with its edge of a tenth, below half the sample rate of {rate_hz} Hz"
-        );
-        return Err(ParameterError::new("emission.start_hz", format!("a band of {low_hz} to {high_hz} Hz"), allowed));
-    }
-    if !(emission.samples.iter().map(|s| s * s).sum::<f64>() > 0.0) {
-        return Err(ParameterError::new("emission", "silence", "finite samples, not all zero"));
-    }
-    Ok(Band { low_hz, high_hz, edge_hz })
-}
-
 /// Largest range step allowed.
 fn checked_step(
     params: &ImagingParams,
     recording: &RecordingFormat,
-    band: &Band,
+    widest_hz: f64,
     speed_of_sound_m_s: f64,
 ) -> Result<f64, ParameterError> {
     let samples = recording.demodulated_samples();
@@ -348,7 +305,7 @@ fn checked_step(
         );
         return Err(ParameterError::new("imaging.range_max_m", params.range_max_m, allowed));
     }
-    let finest_m = speed_of_sound_m_s / (2.4 * (band.high_hz - band.low_hz));
+    let finest_m = speed_of_sound_m_s / (2.4 * widest_hz);
     let step_m = params.range_step_m.unwrap_or(RANGE_STEP_DEFAULT_M.min(finest_m));
     check_range("imaging.range_step_m", step_m, *RANGE_STEP_M.start(), *RANGE_STEP_M.end())?;
     if let Some(cutoff_hz) = params.smoothing_hz {
@@ -358,8 +315,7 @@ fn checked_step(
 }
 
 /// Samples until the last range has been heard and what wraps around has rung out.
-fn checked_span(heard: f64, rate_hz: f64, band: &Band) -> Result<usize, ParameterError> {
-    let width_hz = band.high_hz - band.low_hz;
+fn checked_span(heard: f64, rate_hz: f64, width_hz: f64) -> Result<usize, ParameterError> {
     let used = heard + RINGING_CYCLES / width_hz * rate_hz;
     if !(used <= SPAN_MAX) {
         let allowed = format!("a band of at least {:.0} Hz", (RINGING_CYCLES * rate_hz / SPAN_MAX).ceil());
@@ -403,47 +359,6 @@ fn band_taps(band: &Band, rate_hz: f64, decimation: usize) -> Vec<[f32; 2]> {
     modulated.map(|((sin, cos), tap)| [(tap * cos) as f32, (tap * sin) as f32]).collect()
 }
 
-/// Response of the band-pass at bin k of N, from the rounded taps themselves.
-fn band_response(taps: &[[f32; 2]], turns_per_sample: f64) -> (f64, f64) {
-    let half = (taps.len() / 2) as f64;
-    taps.iter().enumerate().fold((0.0, 0.0), |(re, im), (index, tap)| {
-        let (sin, cos) = (2.0 * PI * turns_per_sample * (index as f64 - half)).sin_cos();
-        let (tap_re, tap_im) = (f64::from(tap[0]), f64::from(tap[1]));
-        (re + tap_re * cos - tap_im * sin, im + tap_re * sin + tap_im * cos)
-    })
-}
-
-/// `reference` of the plan: see the module's header.
-fn reference(plan: &ImagingPlan, band: &Band, emission: &Emission, first_s: f64) -> Vec<[f32; 2]> {
-    let span = plan.forward_len * plan.band_decimation;
-    let energy: f64 = emission.samples.iter().map(|s| s * s).sum();
-    let bins = plan.first_bin..plan.first_bin + plan.bin_count;
-    let passed: f64 = bins.clone().map(|bin| band.gain(bin as f64 * plan.bin_step_hz)).sum();
-    let complex = |bin: usize| {
-        let frequency_hz = bin as f64 * plan.bin_step_hz;
-        let turns = bin as f64 / span as f64;
-        let (mut s_re, mut s_im) = (0.0, 0.0);
-        for (n, sample) in emission.samples.iter().enumerate() {
-            // Whole turns are taken out in integers: the phase of late samples stays exact.
-            let (sin, cos) = (2.0 * PI * ((n * bin) % span) as f64 / span as f64).sin_cos();
-            s_re += sample * cos;
-            s_im -= sample * sin;
-        }
-        let (g_re, g_im) = band_response(&plan.band_taps, turns);
-        // conj(S) / G = conj(S) conj(G) / |G|^2, and the phase of the first range.
-        let (q_re, q_im) = (s_re * g_re - s_im * g_im, -(s_re * g_im + s_im * g_re));
-        let (sin, cos) = (2.0 * PI * (frequency_hz * first_s).fract()).sin_cos();
-        let magnitude = if plan.phat {
-            band.gain(frequency_hz) / (passed * (q_re * q_re + q_im * q_im).sqrt())
-        } else {
-            2.0 * band.gain(frequency_hz) / ((g_re * g_re + g_im * g_im) * energy * plan.forward_len as f64)
-        };
-        let magnitude = if magnitude.is_finite() { magnitude } else { 0.0 };
-        [(magnitude * (q_re * cos - q_im * sin)) as f32, (magnitude * (q_re * sin + q_im * cos)) as f32]
-    };
-    bins.map(complex).collect()
-}
-
 fn smoothing_taps(plan: &ImagingPlan, params: &ImagingParams) -> Result<Vec<f32>, ParameterError> {
     let Some(cutoff_hz) = params.smoothing_hz else { return Ok(Vec::new()) };
     let taps = filters::gaussian(cutoff_hz / (plan.bin_step_hz * plan.inverse_len as f64));
@@ -458,7 +373,7 @@ fn sensor_plans(
     sensors: &[SensorSetup],
     hidden: &[Vec<bool>],
     delays: &[Arc<Vec<f64>>],
-    clip_after_s: f64,
+    rate_hz: f64,
 ) -> Vec<SensorPlan> {
     let one = |(index, sensor): (usize, &SensorSetup)| {
         let steering_of = (0..index).find(|&first| delays[first] == delays[index]).unwrap_or(index);
@@ -469,7 +384,8 @@ fn sensor_plans(
             delays_s: Arc::clone(&delays[steering_of]),
             hidden: hidden[index].clone(),
             steering_of,
-            clip_after_s,
+            reference: Arc::default(),
+            clip_after_s: sensor.emission.samples.len() as f64 / rate_hz + CLIP_GRACE_S,
         }
     };
     sensors.iter().enumerate().map(one).collect()

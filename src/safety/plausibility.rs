@@ -54,23 +54,23 @@ pub fn samples_checksum(samples: &Samples) -> u32 {
     }
 }
 
-/// Spread of the emission times of the pings that are present; zero with fewer than two.
+/// Spread of the pings that are present about their turns, `slot_ns` apart; zero with fewer than two.
 #[must_use]
-pub fn desync_ns(pings: &PingSet) -> u64 {
-    let stamps = || pings.iter_present().map(|ping| ping.emitted_at.boottime_ns);
+pub fn desync_ns(pings: &PingSet, slot_ns: u64) -> u64 {
+    let stamps = || pings.iter_present().map(|ping| ping.trigger_ns(slot_ns));
     match (stamps().min(), stamps().max()) {
         (Some(first), Some(last)) => last - first,
         _ => 0,
     }
 }
 
-/// Takes the pings out of a set that were emitted a period or more before the newest: they belong to another trigger. Returns whether
+/// Takes the pings out of a set whose trigger was a period or more before the newest one's. Returns whether
 /// there were any; the set's own stamp is then the oldest of those left.
-pub fn drop_other_triggers(pings: &mut PingSet, period_ns: u64) -> bool {
-    let newest_ns = pings.iter_present().map(|ping| ping.emitted_at.boottime_ns).max().unwrap_or(0);
+pub fn drop_other_triggers(pings: &mut PingSet, period_ns: u64, slot_ns: u64) -> bool {
+    let newest_ns = pings.iter_present().map(|ping| ping.trigger_ns(slot_ns)).max().unwrap_or(0);
     let mut dropped = false;
     for (ping, present) in pings.pings.iter().zip(&mut pings.present) {
-        let other = *present && newest_ns - ping.emitted_at.boottime_ns >= period_ns;
+        let other = *present && newest_ns - ping.trigger_ns(slot_ns) >= period_ns;
         *present &= !other;
         dropped |= other;
     }
@@ -243,11 +243,11 @@ mod tests {
         for (index, stamp_ns) in [1_000, 1_400, 900_000].into_iter().enumerate() {
             pings.pings[index].emitted_at.boottime_ns = stamp_ns;
         }
-        assert_eq!(desync_ns(&pings), 0);
+        assert_eq!(desync_ns(&pings, 0), 0);
         pings.present = [true, true, false];
-        assert_eq!(desync_ns(&pings), 400);
+        assert_eq!(desync_ns(&pings, 0), 400);
         pings.present = [true; 3];
-        assert_eq!(desync_ns(&pings), 899_000);
+        assert_eq!(desync_ns(&pings, 0), 899_000);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! Goes in: `[emission]` of the configuration and the demodulated sample rate. Comes out: the samples that the matched
 //! filter looks for and the band they fill. Directivity and sound pressure are not known here.
 
+use super::emission_plan::{EmissionPlan, Sweeps};
 use super::table;
 use crate::parameter::{ParameterError, check_positive, check_range};
 use serde::{Deserialize, Serialize};
@@ -45,6 +46,13 @@ pub struct EmissionParams {
     /// File of samples, `csv` only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
+    /// When the sensors fire.
+    pub plan: EmissionPlan,
+    /// What they send.
+    pub sweeps: Sweeps,
+    /// From one sensor's emission to the next one's, in turn only; the shortest that is allowed by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub slot_s: Option<f64>,
 }
 
 impl Default for EmissionParams {
@@ -56,6 +64,9 @@ impl Default for EmissionParams {
             duration_s: 2.5e-3,
             taper: 0.1,
             file: None,
+            plan: EmissionPlan::Together,
+            sweeps: Sweeps::Same,
+            slot_s: None,
         }
     }
 }
@@ -73,6 +84,7 @@ impl EmissionParams {
         }
         check_positive("duration_s", self.duration_s, DURATION_MAX_S)?;
         check_range("taper", self.taper, 0.0, 0.5)?;
+        self.validate_plan()?;
         match (self.shape, &self.file) {
             (EmissionShape::Csv, None) => {
                 Err(ParameterError::new("file", "nothing", "a CSV file, for shape = \"csv\""))

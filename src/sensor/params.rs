@@ -3,7 +3,7 @@
 //! Goes in: name, mount, array, emitter and disabled microphones as a person writes them, degrees and metres. Comes out: a
 //! [`SensorSetup`]. Whether several sensors go together is judged by the configuration.
 
-use super::{Emission, MicrophoneArray, Mount, SensorSetup, table};
+use super::{Emission, MicrophoneArray, Mount, SensorEmission, SensorSetup, table};
 use crate::parameter::{ParameterError, check_range};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -33,6 +33,9 @@ pub struct SensorParams {
     /// Place of the emitter in the sensor frame.
     #[serde(default = "default_emitter_m")]
     pub emitter_m: [f64; 3],
+    /// What it sends other than `[emission]` says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub emission: Option<SensorEmission>,
 }
 
 fn default_array() -> String {
@@ -65,6 +68,7 @@ impl SensorParams {
             array: default_array(),
             disabled_mics: Vec::new(),
             emitter_m: default_emitter_m(),
+            emission: None,
         }
     }
 

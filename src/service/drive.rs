@@ -34,6 +34,7 @@ pub(super) struct Drive {
     pub now_ns: u64,
     /// From one ping set to the next, a multiple of the tick.
     pub period_ns: u64,
+    /// From the first emission of a set to its last sample.
     recording_ns: u64,
     sequence: u64,
     heard_ns: u64,
@@ -66,7 +67,7 @@ impl Drive {
             gate: Gate::new(config.gate_params(), start),
             now_ns: CLOCK_START_NS,
             period_ns,
-            recording_ns: Duration::from_secs_f64(setup.recording.duration_s()).as_nanos() as u64,
+            recording_ns: Duration::from_secs_f64(config.set_duration_s(&setup.recording)).as_nanos() as u64,
             sequence: 0,
             heard_ns: CLOCK_START_NS,
             under_way: VecDeque::new(),

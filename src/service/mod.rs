@@ -16,6 +16,7 @@ pub mod decision;
 mod detecting;
 mod detections;
 mod drive;
+pub mod emission_trials;
 pub mod handoff;
 pub mod health;
 pub mod image_quality;
@@ -55,7 +56,7 @@ use crate::io::{DaemonTopics, Ipc, IpcError, LiveTopics};
 use crate::life::Stop;
 use crate::parameter::ParameterError;
 use crate::signal::PingSet;
-use crate::sim::{RobotParams, SimError, SimParams, Simulator, World};
+use crate::sim::{RobotParams, SimError, SimParams, Simulator, Turns, World};
 use crate::time::{Clock, Stamp, SystemClock};
 use acquisition::Delivered;
 use decision::DecisionLoop;
@@ -280,7 +281,7 @@ fn open_source(
         SourceChoice::Simulator { world, seed, endless } => {
             let params = SimParams { repeat_waypoints: *endless, ..SimParams::default() };
             let simulator = simulator(config, setup, (**world).clone(), params, *seed)?;
-            Ok(Box::new(SimulatorSource::open(simulator, ipc, rate_hz, setup.recording.duration_s())?))
+            Ok(Box::new(SimulatorSource::open(simulator, ipc, rate_hz, config.set_duration_s(&setup.recording))?))
         }
         SourceChoice::Replay(paths) if paths.iter().any(|path| is_mcap(path)) => {
             let [path] = paths.as_slice() else {
@@ -288,16 +289,16 @@ fn open_source(
                     format!("found {} files, allowed: one MCAP recording, which holds all sensors", paths.len());
                 return Err(SourceError::Other(found).into());
             };
-            Ok(Box::new(RecordedSource::open(path)?))
+            Ok(Box::new(RecordedSource::open(path, config.slot_ns())?))
         }
         SourceChoice::Replay(paths) => {
             let words = wiring::file_hints(config);
-            Ok(Box::new(ReplaySource::open(paths, words, &empty_ping_set(setup), rate_hz)?))
+            Ok(Box::new(ReplaySource::open(paths, words, &empty_ping_set(setup), rate_hz, config.slot_ns())?))
         }
         SourceChoice::Live => {
             let sensors = setup.raw_shapes();
             let topics = LiveTopics::open(ipc, &sensors)?;
-            Ok(Box::new(LiveSource::new(topics, sensors.len(), config.safety.group_deadline())))
+            Ok(Box::new(LiveSource::new(topics, sensors.len(), config.safety.group_deadline(), config.slot_ns())))
         }
     }
 }
@@ -324,6 +325,8 @@ pub fn simulator(
         },
     };
     let speed_of_sound_m_s = setup.speed_of_sound_m_s;
+    let turns = Turns { slot_s: config.slot_s(), period_s: 1.0 / config.control.rate_hz };
+    let params = SimParams { turns: (turns.slot_s > 0.0).then_some(turns), ..params };
     let mut simulator =
         Simulator::new(world, &setup.sensors, &setup.recording, robot, speed_of_sound_m_s, params, seed)?;
     simulator.set_obstructions(&config.obstruction);
@@ -347,7 +350,7 @@ fn decision_loop(config: &Config, pipeline: Pipeline, topics: DaemonTopics, ipc:
             wall_corridor: control.flow_following.threshold_corridor,
         },
         input_max_age_ns: config.safety.input_max_age_ns(),
-        recording_ns: (setup.recording.duration_s() * 1e9) as u64,
+        recording_ns: (config.set_duration_s(&setup.recording) * 1e9) as u64,
         period_ns,
         reporter: Reporter::new(period_ns as f64 * 1e-6),
         input: None,

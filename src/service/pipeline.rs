@@ -52,6 +52,8 @@ pub struct Pipeline {
     needed_ahead_m: f64,
     /// From one trigger of the sensors to the next.
     period_ns: u64,
+    /// From one sensor's turn to the next one's; zero when all fire together.
+    slot_ns: u64,
     fell_back: bool,
     /// Where the controller gives movers room: what finds them, and what it needs of the set processed last.
     ego_motion: Option<Box<EgoMotion>>,
@@ -78,6 +80,7 @@ impl Pipeline {
             plausibility: Plausibility::default(),
             needed_ahead_m: config.platform.radius_m,
             period_ns: (1e9 / config.control.rate_hz) as u64,
+            slot_ns: config.slot_ns(),
             fell_back: false,
             setup,
             masks,
@@ -144,8 +147,8 @@ impl Pipeline {
         pose: Option<Pose2>,
     ) -> Result<Outcome, BackendError> {
         let mut findings = [SensorFindings::ABSENT; SENSORS_MAX];
-        plausibility::drop_other_triggers(pings, self.period_ns);
-        let desync_ns = plausibility::desync_ns(pings);
+        plausibility::drop_other_triggers(pings, self.period_ns, self.slot_ns);
+        let desync_ns = plausibility::desync_ns(pings, self.slot_ns);
         self.judge_deliveries(pings, &mut findings);
         let captured_at_ns = pings.emitted_at.boottime_ns;
         if self.daemon.wants_backend_check() {

@@ -94,6 +94,13 @@ pub struct RawPing {
 }
 
 impl RawPing {
+    /// When its set was triggered: sensors that fire in turn do so `slot_ns` after one another, in the order of the configuration; zero
+    /// where all fire together.
+    #[must_use]
+    pub fn trigger_ns(&self, slot_ns: u64) -> u64 {
+        self.emitted_at.boottime_ns.saturating_sub(slot_ns.saturating_mul(self.sensor_index as u64))
+    }
+
     /// The samples, to be written. Copies them first where somebody else still reads them, which happens only after a fault.
     pub fn samples_mut(&mut self) -> &mut Samples {
         Arc::make_mut(&mut self.samples)

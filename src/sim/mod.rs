@@ -21,7 +21,7 @@ mod score;
 mod world;
 
 pub use faults::{Fault, Faults};
-pub use params::{Air, Bursts, JAMMERS_MAX, Jammer, MotionLimits, RobotParams, SimError, SimParams};
+pub use params::{Air, Bursts, JAMMERS_MAX, Jammer, MotionLimits, RobotParams, SimError, SimParams, Turns};
 pub use robot::Odometry;
 pub use score::{RunScore, Stay};
 pub use world::{Mover, Outline, PathLoop, Pillar, Start, Wall, WantedVelocity, World};
@@ -128,7 +128,8 @@ impl Simulator {
         PingSet::empty(len.len(), self.format, &len)
     }
 
-    /// Makes what all sensors hear of an emission at the present pose and time, stamped `emitted_at`.
+    /// Makes what all sensors hear of an emission at the present pose and time, stamped `emitted_at`. Sensors that fire in turn do so
+    /// where the robot and the movers will be by then if they go on as they move now.
     ///
     /// Overwrites `out`; buffers that do not fit are replaced, those that do are kept, and then nothing is allocated.
     pub fn ping_set(&mut self, emitted_at: Stamp, out: &mut PingSet) {
@@ -136,8 +137,6 @@ impl Simulator {
         if out.pings.len() != sensor_count {
             *out = self.empty_ping_set();
         }
-        self.obstacles.move_to(&self.world, self.time_s);
-        self.echoes.place(&self.robot.pose, self.robot.body_velocity());
         out.sequence = self.ping_count;
         out.emitted_at = emitted_at;
         out.present = std::array::from_fn(|sensor| sensor < sensor_count);
@@ -148,9 +147,16 @@ impl Simulator {
             }
             ping.sensor_index = sensor;
             ping.sequence = self.ping_count;
-            ping.emitted_at = emitted_at;
+            let turn_s = self.echoes.turn_s(sensor);
+            ping.emitted_at = emitted_at.plus_ns((1e9 * turn_s).round() as u64);
+            if sensor == 0 || turn_s > 0.0 {
+                self.obstacles.move_to(&self.world, self.time_s + turn_s);
+                let velocity = self.robot.body_velocity();
+                self.echoes.place(&robot::moved(&self.robot.pose, velocity, turn_s), velocity);
+            }
             self.echoes.hear(sensor, self.ping_count, &self.obstacles, ping.samples_mut());
         }
+        self.obstacles.move_to(&self.world, self.time_s);
         self.ping_count += 1;
     }
 

@@ -31,6 +31,8 @@ pub struct SimParams {
     pub cross_talk: bool,
     /// How late each sensor emits, and begins to record: its own echoes stay where they are, those of the others move.
     pub sync_offsets_s: [f64; SENSORS_MAX],
+    /// Sensors that fire one after another; without it all fire at once.
+    pub turns: Option<Turns>,
     /// Standard deviation of what comes on top of that, drawn for every ping and sensor.
     pub sync_jitter_s: f64,
     /// Sources of narrow-band ultrasound that are no sonar.
@@ -61,6 +63,15 @@ pub struct Jammer {
     pub position_m: [f64; 3],
     /// Bursts; without them it sounds all the time.
     pub bursts: Option<Bursts>,
+}
+
+/// When sensors fire that take turns: sensor k, k slots after the first one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Turns {
+    /// From one sensor's emission to the next one's.
+    pub slot_s: f64,
+    /// From one ping set to the next: what the set before sent is still heard.
+    pub period_s: f64,
 }
 
 /// When a jammer sounds.
@@ -117,6 +128,7 @@ impl Default for SimParams {
             air: Some(Air::default()),
             cross_talk: true,
             sync_offsets_s: [0.0; SENSORS_MAX],
+            turns: None,
             // The sensors of paper 000 are synchronised to 400 ns.
             sync_jitter_s: 2e-7,
             jammers: [None; JAMMERS_MAX],
@@ -150,6 +162,10 @@ impl SimParams {
         }
         for (sensor, offset_s) in self.sync_offsets_s.into_iter().enumerate() {
             check_range(&format!("sync_offsets_s[{sensor}]"), offset_s, -0.1, 0.1)?;
+        }
+        if let Some(turns) = self.turns {
+            check_positive("turns.slot_s", turns.slot_s, 10.0)?;
+            check_range("turns.period_s", turns.period_s, turns.slot_s, 100.0)?;
         }
         check_range("sync_jitter_s", self.sync_jitter_s, 0.0, 0.1)?;
         for (index, jammer) in self.jammers.iter().enumerate() {

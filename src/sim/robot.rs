@@ -160,7 +160,7 @@ fn housing_clearance_m(pose: &Pose2, obstacles: &Obstacles) -> f64 {
 }
 
 /// The pose after moving at constant `velocity` for `dt_s`: an arc, exactly.
-fn moved(pose: &Pose2, velocity: Velocity, dt_s: f64) -> Pose2 {
+pub(super) fn moved(pose: &Pose2, velocity: Velocity, dt_s: f64) -> Pose2 {
     let turn_rad = velocity.angular_rad_s * dt_s;
     let way_m = velocity.linear_m_s * dt_s;
     let half_rad = 0.5 * turn_rad;

@@ -143,11 +143,12 @@ struct Driver {
     input: InputPublisher,
     sets: Vec<PingSet>,
     recording_ns: u64,
+    slot_ns: u64,
     sent: u64,
 }
 
 impl Driver {
-    fn open(ipc: &Ipc, setup: &SensingSetup, sets: Vec<PingSet>) -> Result<Self, Failure> {
+    fn open(ipc: &Ipc, config: &Config, setup: &SensingSetup, sets: Vec<PingSet>) -> Result<Self, Failure> {
         let publisher = |(sensor, shape): (String, RawShape)| {
             RawPublisher::open(ipc, &sensor, shape).map_err(|error| ipc_failure(&error))
         };
@@ -155,7 +156,8 @@ impl Driver {
             publishers: setup.raw_shapes().into_iter().map(publisher).collect::<Result<_, _>>()?,
             input: InputPublisher::open(ipc, false).map_err(|error| ipc_failure(&error))?,
             sets,
-            recording_ns: (setup.recording.duration_s() * 1e9) as u64,
+            recording_ns: (config.set_duration_s(&setup.recording) * 1e9) as u64,
+            slot_ns: config.slot_ns(),
             sent: 0,
         })
     }
@@ -171,7 +173,8 @@ impl Driver {
         };
         self.sent += 1;
         for (publisher, ping) in self.publishers.iter().zip(&mut set.pings) {
-            (ping.emitted_at, ping.sequence) = (emitted_at, self.sent);
+            let turn_ns = self.slot_ns * ping.sensor_index as u64;
+            (ping.emitted_at, ping.sequence) = (emitted_at.plus_ns(turn_ns), self.sent);
             publisher.publish(ping).map_err(|error| ipc_failure(&error))?;
         }
         self.input.want(Velocity::forward_m_s(0.1), now).map_err(|error| ipc_failure(&error))
@@ -184,7 +187,7 @@ fn measure(config: &Config, arguments: &BenchArguments, load: &'static str) -> R
     let sets = super::simulated_pings(&place.config, &setup)?;
     let stop = stop_flag()?;
     let ipc = Ipc::open(&place.config.ipc).map_err(|error| ipc_failure(&error))?;
-    let mut driver = Driver::open(&ipc, &setup, sets)?;
+    let mut driver = Driver::open(&ipc, &place.config, &setup, sets)?;
     let topics = StatusTopics::open(&ipc).map_err(|error| ipc_failure(&error))?;
     let period = PERIOD.max(Duration::from_nanos(driver.recording_ns));
     let mut daemon = Supervised::start("daemon", UNWATCHED, run_daemon(&place, arguments.backend)?)?;

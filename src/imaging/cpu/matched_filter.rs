@@ -84,6 +84,8 @@ pub(super) enum SpectrumTask<'a> {
     Apply {
         transform: &'a Transform,
         plan: &'a ImagingPlan,
+        /// The sensor's own, `[bin]`.
+        reference: &'a [[f32; 2]],
         /// Gain of each lane; a gain of zero gives zeros whatever the channel holds.
         gains: &'a [f32],
         values: &'a mut [f32],
@@ -103,13 +105,13 @@ pub(super) fn spectrum<V: Vector>(task: SpectrumTask<'_>) {
                 (values[row], values[row + 1]) = (output[0], output[1]);
             }
         }
-        SpectrumTask::Apply { transform, plan, gains, values, spectrum } => {
+        SpectrumTask::Apply { transform, plan, reference, gains, values, spectrum } => {
             transform::forward::<V>(transform, values);
             let (values, spectrum) = (rows::<V>(values), rows_mut::<V>(spectrum));
             let gains = V::load(&rows::<V>(gains)[0]);
             let zero = V::splat(0.0);
             let mut index = plan.first_bin % plan.forward_len;
-            for (output, reference) in spectrum.as_chunks_mut::<2>().0.iter_mut().zip(&plan.reference) {
+            for (output, reference) in spectrum.as_chunks_mut::<2>().0.iter_mut().zip(reference) {
                 let (mut re, mut im) = (V::load(&values[2 * index]), V::load(&values[2 * index + 1]));
                 if plan.phat {
                     (re, im) = unit_magnitude(re, im);

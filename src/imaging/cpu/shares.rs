@@ -180,7 +180,8 @@ impl Work {
         }
         let gains = &job.gains[piece.sensor][piece.block * self.lanes..][..self.lanes];
         let spectrum = &mut writing(&self.spectra[index])[..];
-        simd::spectrum(self.set, SpectrumTask::Apply { transform, plan: &self.plan, gains, values, spectrum });
+        let (plan, reference) = (&self.plan, &self.plan.sensors[piece.sensor].reference[..]);
+        simd::spectrum(self.set, SpectrumTask::Apply { transform, plan, reference, gains, values, spectrum });
     }
 
     fn beams_share(&self, job: &Job, scratch: &mut Scratch) {

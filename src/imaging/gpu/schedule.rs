@@ -9,7 +9,7 @@ use super::device::Needs;
 use super::params::{BINDING_WORDS, Params, ResultLayout, channel_stride};
 use super::resource::Resource;
 use super::stage::{self, Kernel};
-use super::tables::{BitWindow, Geometry, MaskEntries, PhaseRows, Steering, SteeringGroup};
+use super::tables::{self, BitWindow, Geometry, MaskEntries, PhaseRows, Steering, SteeringGroup};
 use super::transform::{self, Pass};
 use crate::imaging::backend::BackendError;
 use crate::imaging::plan::{FocusPlan, ImagingPlan};
@@ -83,6 +83,7 @@ pub(super) struct Blueprint<'a> {
     pub bits: BitWindow,
     pub masks: MaskEntries,
     geometry: Geometry,
+    references: Vec<[f32; 2]>,
     steering: Steering,
     forward: Vec<Pass>,
     inverse: Vec<Pass>,
@@ -127,6 +128,7 @@ impl<'a> Blueprint<'a> {
             bits: BitWindow::new(plan),
             masks: MaskEntries::new(plan, masks).map_err(BackendError::Unavailable)?,
             geometry: Geometry::new(plan),
+            references: tables::references(plan),
             steering: Steering::new(plan),
             forward,
             inverse,
@@ -198,7 +200,7 @@ impl<'a> Blueprint<'a> {
                 Zeros(8 * (tile_rows * self.row_len()).max(channels * longest))
             }
             Resource::Spectra => Zeros(8 * channels * plan.bin_count),
-            Resource::Reference => Table(bytemuck::cast_slice(&plan.reference)),
+            Resource::Reference => Table(bytemuck::cast_slice(&self.references)),
             // Behind the gains two scales a sensor.
             Resource::Gains => Zeros(4 * plan.sensors.len() * (channel_stride(plan) + 2)),
             Resource::Turns => Table(bytemuck::cast_slice(&self.steering.turns)),

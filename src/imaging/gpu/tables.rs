@@ -55,6 +55,11 @@ impl BitWindow {
     }
 }
 
+/// `[sensor][bin]`: what each sensor's spectra are multiplied with.
+pub(super) fn references(plan: &ImagingPlan) -> Vec<[f32; 2]> {
+    plan.sensors.iter().flat_map(|sensor| sensor.reference.iter().copied()).collect()
+}
+
 fn byte_sums(fixed: &[i32], decimation: usize, byte_count: usize) -> Vec<[i32; 4]> {
     let tap = |bit: usize, output: usize| {
         bit.checked_sub(output * decimation).and_then(|index| fixed.get(index)).copied().unwrap_or(0)

@@ -1,7 +1,7 @@
 //! Drivers as a source: raw pings of all sensors from their topics, grouped into ping sets by time of emission.
 //!
-//! A set is complete when every sensor delivered, and is given up for complete at a deadline after its first ping; what
-//! is missing then is absent. A ping that comes later belongs to no set and is dropped.
+//! A set is complete when every sensor delivered, and is given up for complete at a deadline after its first ping, or, where the
+//! sensors fire in turn, after the last sensor's turn; what is missing then is absent. A ping that comes later belongs to no set and is dropped.
 
 use super::{Delivery, Source, SourceError};
 use crate::io::{LiveTopics, RawRefusal};
@@ -13,26 +13,38 @@ use std::time::{Duration, Instant};
 const LOOK_PAUSE: Duration = Duration::from_micros(500);
 /// Pings of one sensor taken in one look: a flood must not keep the others waiting.
 const LOOK_PINGS_MAX: usize = 8;
-/// Pings whose emissions lie further apart than this belong to different sets.
+/// Pings whose triggers lie further apart than this belong to different sets; a sensor's turn is taken off its emission.
 const SAME_EMISSION_NS: u64 = 20_000_000;
 
 /// Raw pings from other processes.
 pub struct LiveSource {
     topics: LiveTopics,
     group_deadline: Duration,
+    slot_ns: u64,
     sensor_count: usize,
-    began: Option<Instant>,
+    /// When a set that has begun is given up for complete.
+    due: Option<Instant>,
     sequence: u64,
     refused_count: u64,
-    /// Emission of the newest set delivered: older pings are late.
+    /// Trigger of the newest set delivered: older pings are late.
     delivered_ns: u64,
 }
 
 impl LiveSource {
-    /// Listens to opened topics. A set waits `group_deadline` for its sensors after the first of them.
+    /// Listens to opened topics. A set waits `group_deadline` for its sensors after the first of them, and `slot_ns` more for every turn
+    /// that is still to come; zero where all fire together.
     #[must_use]
-    pub fn new(topics: LiveTopics, sensor_count: usize, group_deadline: Duration) -> Self {
-        Self { topics, group_deadline, sensor_count, began: None, sequence: 0, refused_count: 0, delivered_ns: 0 }
+    pub fn new(topics: LiveTopics, sensor_count: usize, group_deadline: Duration, slot_ns: u64) -> Self {
+        Self {
+            topics,
+            group_deadline,
+            slot_ns,
+            sensor_count,
+            due: None,
+            sequence: 0,
+            refused_count: 0,
+            delivered_ns: 0,
+        }
     }
 
     /// Takes what has arrived; pings of an older emission are dropped, a newer emission replaces an incomplete older one.
@@ -49,21 +61,22 @@ impl LiveSource {
     }
 
     fn place(&mut self, index: usize, pings: &mut PingSet) {
-        let emitted_ns = pings.pings[index].emitted_at.boottime_ns;
-        if emitted_ns <= self.delivered_ns.saturating_add(SAME_EMISSION_NS) && self.delivered_ns > 0 {
+        let trigger_ns = pings.pings[index].trigger_ns(self.slot_ns);
+        if trigger_ns <= self.delivered_ns.saturating_add(SAME_EMISSION_NS) && self.delivered_ns > 0 {
             pings.present[index] = false;
             return;
         }
-        let others = pings.pings.iter().zip(pings.present).enumerate();
-        let newest = others.filter(|(other, (_, present))| *present && *other != index);
-        let newest_ns = newest.map(|(_, (ping, _))| ping.emitted_at.boottime_ns).max();
-        if newest_ns.is_some_and(|newest_ns| emitted_ns > newest_ns.saturating_add(SAME_EMISSION_NS)) {
+        let others = (0..pings.pings.len()).filter(|other| pings.present[*other] && *other != index);
+        let newest_ns = others.map(|other| pings.pings[other].trigger_ns(self.slot_ns)).max();
+        if newest_ns.is_some_and(|newest_ns| trigger_ns > newest_ns.saturating_add(SAME_EMISSION_NS)) {
             pings.present = [false; SENSORS_MAX];
-            self.began = None;
+            self.due = None;
         }
         pings.present[index] =
-            newest_ns.is_none_or(|newest_ns| emitted_ns.saturating_add(SAME_EMISSION_NS) >= newest_ns);
-        self.began.get_or_insert_with(Instant::now);
+            newest_ns.is_none_or(|newest_ns| trigger_ns.saturating_add(SAME_EMISSION_NS) >= newest_ns);
+        let turns = self.sensor_count.saturating_sub(index + 1) as u64;
+        let wait = self.group_deadline + Duration::from_nanos(self.slot_ns.saturating_mul(turns));
+        self.due.get_or_insert_with(|| Instant::now() + wait);
     }
 
     fn refuse(&mut self, index: usize, refusal: &RawRefusal) {
@@ -75,13 +88,15 @@ impl LiveSource {
     }
 
     fn deliver(&mut self, pings: &mut PingSet) -> Delivery {
-        self.began = None;
-        let stamps = || pings.iter_present().map(|ping| ping.emitted_at);
-        let (Some(oldest), Some(newest)) = (stamps().min(), stamps().max()) else { return Delivery::Nothing };
+        self.due = None;
+        let oldest = pings.iter_present().map(|ping| ping.emitted_at).min();
+        let present = (0..pings.pings.len()).filter(|index| pings.present[*index]);
+        let newest = present.map(|index| pings.pings[index].trigger_ns(self.slot_ns)).max();
+        let (Some(oldest), Some(newest_ns)) = (oldest, newest) else { return Delivery::Nothing };
         pings.emitted_at = oldest;
         pings.sequence = self.sequence;
         self.sequence += 1;
-        self.delivered_ns = newest.boottime_ns;
+        self.delivered_ns = newest_ns;
         Delivery::Set
     }
 }
@@ -89,13 +104,13 @@ impl LiveSource {
 impl Source for LiveSource {
     fn next_ping_set(&mut self, pings: &mut PingSet, limit: Duration) -> Result<Delivery, SourceError> {
         let begin = Instant::now();
-        if self.began.is_none() {
+        if self.due.is_none() {
             pings.present = [false; SENSORS_MAX];
         }
         loop {
             self.collect(pings);
             let complete = pings.present.iter().filter(|present| **present).count() == self.sensor_count;
-            let late = self.began.is_some_and(|began| began.elapsed() >= self.group_deadline);
+            let late = self.due.is_some_and(|due| Instant::now() >= due);
             if complete || late {
                 return Ok(self.deliver(pings));
             }

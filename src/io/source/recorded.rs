@@ -13,12 +13,13 @@ use crate::time::{Clock, Stamp, SystemClock};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Emissions of one set lie within this time.
-const SET_NS: i64 = 20_000_000;
+/// Triggers of one set, by the stamps of its pings, lie within this time.
+const SET_NS: u64 = 20_000_000;
 
 /// A recorded run, played back.
 pub struct RecordedSource {
     path: PathBuf,
+    slot_ns: u64,
     reader: RunReader,
     /// The set to be given next, with its recorded stamps.
     next: Option<PingSet>,
@@ -35,12 +36,13 @@ pub struct RecordedSource {
 }
 
 impl RecordedSource {
-    /// Opens a recording.
+    /// Opens a recording of sensors that fire `slot_ns` after one another.
     ///
     /// # Errors
     /// One that cannot be read.
-    pub fn open(path: &Path) -> Result<Self, SourceError> {
+    pub fn open(path: &Path, slot_ns: u64) -> Result<Self, SourceError> {
         Ok(Self {
+            slot_ns,
             path: path.to_owned(),
             reader: RunReader::open(path)?,
             next: None,
@@ -61,7 +63,7 @@ impl RecordedSource {
             match entry {
                 Entry::Raw(_, ping) => {
                     take_ping(&self.path, &ping, set)?;
-                    if self.has_steps || !is_whole(set) {
+                    if self.has_steps || !is_whole(set, self.slot_ns) {
                         continue;
                     }
                 }
@@ -97,10 +99,10 @@ fn moved(at: Stamp, (boottime_ns, wall_ns): (u64, u64)) -> Stamp {
 }
 
 /// Whether every sensor of the set has delivered for one emission. A sensor that is missing is waited for until the next emission.
-fn is_whole(set: &mut PingSet) -> bool {
-    let newest = set.iter_present().map(|ping| ping.emitted_at).max().unwrap_or_default();
+fn is_whole(set: &mut PingSet, slot_ns: u64) -> bool {
+    let newest_ns = set.iter_present().map(|ping| ping.trigger_ns(slot_ns)).max().unwrap_or_default();
     for (ping, present) in set.pings.iter().zip(&mut set.present) {
-        *present &= newest.since_ns(ping.emitted_at) <= SET_NS;
+        *present &= newest_ns - ping.trigger_ns(slot_ns) <= SET_NS;
     }
     set.iter_present().count() == set.pings.len()
 }

@@ -13,6 +13,8 @@ use std::time::Duration;
 pub struct ReplaySource {
     files: Vec<RecordingFile>,
     period_ns: u64,
+    /// From one sensor's turn to the next one's.
+    slot_ns: u64,
     next: Option<Stamp>,
     sequence: u64,
 }
@@ -28,6 +30,7 @@ impl ReplaySource {
         hints: impl Into<FileHints>,
         expected: &PingSet,
         rate_hz: f64,
+        slot_ns: u64,
     ) -> Result<Self, SourceError> {
         let hints = hints.into();
         let mut files = Vec::with_capacity(paths.len());
@@ -45,7 +48,7 @@ impl ReplaySource {
                 format!("found {} files, the configuration has {} sensors", paths.len(), expected.pings.len());
             return Err(SourceError::Other(message));
         }
-        Ok(Self { files, period_ns: (1e9 / rate_hz) as u64, next: None, sequence: 0 })
+        Ok(Self { files, period_ns: (1e9 / rate_hz) as u64, slot_ns, next: None, sequence: 0 })
     }
 }
 
@@ -69,7 +72,13 @@ impl Source for ReplaySource {
             return Ok(Delivery::Nothing);
         }
         std::thread::sleep(Duration::from_nanos(wait_ns));
-        let emitted_at = SystemClock.now();
+        // The last sensor's turn is now: no ping is from the future.
+        let now = SystemClock.now();
+        let turn = |turns: usize| {
+            let ago_ns = self.slot_ns.saturating_mul(turns as u64);
+            Stamp { boottime_ns: now.boottime_ns.saturating_sub(ago_ns), wall_ns: now.wall_ns.saturating_sub(ago_ns) }
+        };
+        let last = pings.pings.len().saturating_sub(1);
         self.next = Some(due.plus_ns(self.period_ns));
         pings.present = [false; crate::signal::SENSORS_MAX];
         let mut any = false;
@@ -81,11 +90,11 @@ impl Source for ReplaySource {
                 Err(error) => log::error!("{error}"),
             }
             ping.sequence = self.sequence;
-            ping.emitted_at = emitted_at;
+            ping.emitted_at = turn(last - index.min(last));
             any |= pings.present[index];
         }
         pings.sequence = self.sequence;
-        pings.emitted_at = emitted_at;
+        pings.emitted_at = turn(last);
         self.sequence += 1;
         Ok(if any { Delivery::Set } else { Delivery::End })
     }

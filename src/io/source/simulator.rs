@@ -32,7 +32,7 @@ pub struct SimulatorSource {
 }
 
 impl SimulatorSource {
-    /// Connects a simulator that emits `rate_hz` times a second and records for `recording_s`.
+    /// Connects a simulator that emits `rate_hz` times a second and records for `recording_s`, all turns of a set included.
     ///
     /// # Errors
     /// When the platform's topics cannot be opened.

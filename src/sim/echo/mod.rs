@@ -5,7 +5,8 @@
 //! microphone, so the bits depend on nothing else. No allocation once the buffers have grown.
 //!
 //! Robot and movers move on while the sound flies: an echo is heard where the microphone is by then (at 0.3 m/s 4.4 mm of
-//! range at 5 m, at 1 rad/s 1.7 degrees of bearing). Left out is the Doppler shift, the echo's own compression by 1 + 2 v/c: a
+//! range at 5 m, at 1 rad/s 1.7 degrees of bearing). What an earlier turn's emission throws back is taken as sent from where its sensor
+//! is now: a centimetre or two of a ghost's place. Left out is the Doppler shift, the echo's own compression by 1 + 2 v/c: a
 //! hyperbolic sweep of T, f0, f1 then only seems later by T f1/(f0 - f1) 2 v/c, for the default one 4.4 us or 0.75 mm of range
 //! at 0.3 m/s, 2.5 mm for each metre per second of approach, at any range, and 0.01 dB weaker.
 
@@ -39,6 +40,8 @@ use sight::Sight;
 use std::sync::Arc;
 use waveform::{Waveform, WaveformTable};
 
+/// Time after which an emission is no longer heard: on 41 m of way the air alone takes 30 dB and more.
+const HEARD_MAX_S: f64 = 0.12;
 /// Largest amplitude that a microphone delivers.
 const FULL_SCALE: f32 = 1.0;
 /// What a stream of noise is for, where a microphone's index stands otherwise.
@@ -192,13 +195,11 @@ impl EchoMaker {
             robot: self.robot,
             occlusion: self.params.occlusion,
         };
-        for emitter in 0..self.sensors.len() {
-            if !self.emitting[emitter] || (emitter != sensor && !self.params.cross_talk) {
+        for (emitter, late_s) in self.firings(sensor, ping).into_iter().flatten() {
+            let length_max_m = (samples as f64 / rate_hz - late_s) * self.speed_of_sound_m_s;
+            if length_max_m <= 0.0 {
                 continue;
             }
-            // How much later than this sensor's first sample the other one emits.
-            let late_s = if emitter == sensor { 0.0 } else { self.clock_s(emitter, ping) - clock_s };
-            let length_max_m = (samples as f64 / rate_hz - late_s) * self.speed_of_sound_m_s;
             self.paths.clear();
             let medium = &self.media[emitter];
             Finder { sight: &sight, params: &self.params, medium, length_max_m, emitter, receiver: sensor }
@@ -224,10 +225,38 @@ impl EchoMaker {
         }
     }
 
-    /// How late a sensor emits and begins to record.
+    /// Who emits what a sensor may hear, and how much later than the sensor's first sample: all others of this set, and, where they take
+    /// turns, of the set before.
+    fn firings(&self, sensor: usize, ping: u64) -> [Option<(usize, f64)>; 2 * SENSORS_MAX] {
+        let clock_s = self.clock_s(sensor, ping);
+        std::array::from_fn(|index| {
+            let (emitter, before) = (index % SENSORS_MAX, index >= SENSORS_MAX);
+            let heard = emitter == sensor || self.params.cross_talk;
+            if emitter >= self.sensors.len() || !self.emitting[emitter] || !heard {
+                return None;
+            }
+            let late_s = match (emitter == sensor, before) {
+                (true, true) => return None,
+                (true, false) => 0.0,
+                (false, false) => self.clock_s(emitter, ping) - clock_s,
+                (false, true) => {
+                    let (turns, ping) = (self.params.turns?, ping.checked_sub(1)?);
+                    self.clock_s(emitter, ping) - turns.period_s - clock_s
+                }
+            };
+            (late_s > -HEARD_MAX_S).then_some((emitter, late_s))
+        })
+    }
+
+    /// When a sensor's turn is, after the first one's.
+    pub(super) fn turn_s(&self, sensor: usize) -> f64 {
+        self.params.turns.map_or(0.0, |turns| turns.slot_s * sensor as f64)
+    }
+
+    /// When a sensor emits and begins to record, after the first one's turn.
     fn clock_s(&self, sensor: usize, ping: u64) -> f64 {
         let jitter = Noise::new([self.seed, ping, sensor as u64, FOR_CLOCK]).gaussian();
-        self.params.sync_offsets_s[sensor] + self.params.sync_jitter_s * jitter
+        self.turn_s(sensor) + self.params.sync_offsets_s[sensor] + self.params.sync_jitter_s * jitter
     }
 
     /// A housing hides nothing from its own sensor, nor from one whose origin is inside it.
