@@ -4,7 +4,7 @@
 
 use super::{CONFIG_VERSION, Config, plan, zone};
 use crate::imaging::params::{ImagingParams, RANGE_STEP_M, SMOOTHING_MIN_HZ};
-use crate::imaging::plan::combine::Combine;
+use crate::imaging::plan::{clean, combine::Combine};
 use crate::parameter::{ParameterError, check_range};
 use crate::sensor::{Emission, RecordingFormat, SensorSetup, air};
 use crate::signal::{SENSORS_MAX, SampleFormat};
@@ -135,7 +135,7 @@ fn check_imaging(
     if let Some(cutoff_hz) = smoothing_hz {
         check_range("imaging.smoothing_hz", cutoff_hz, SMOOTHING_MIN_HZ, 0.5 * recording.demodulated_rate_hz())?;
     }
-    Combine::new(&config.imaging)?;
+    clean::rounds(&config.imaging, Combine::new(&config.imaging)?.is_sum())?;
     let direction_count = config.directions()?.len() as f64;
     let range_count = (range_max_m - range_min_m) / range_step_m.unwrap_or_else(|| fine_step_m(config, emissions));
     if !(direction_count * range_count <= CELLS_MAX) {

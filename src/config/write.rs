@@ -64,6 +64,10 @@ const COMMENTS: &[(&str, &str)] = &[
     ("imaging.multiply_order", "Microphones multiplied with one another, 2 to 5."),
     ("imaging.coherence", "Factor on the amplitude: \"none\", \"amplitude\", \"phase\" or \"sign\"."),
     ("imaging.apodization", "Weights of the microphones: \"uniform\" or \"low-side-lobes\"."),
+    (
+        "imaging.clean_rounds",
+        "Rounds of CLEAN, 1 to 16: the strongest echoes are taken out with their side lobes and put back without.",
+    ),
     ("sensor", "A sensor, 1 to 3 of them. Any [[sensor]] replaces all built-in ones."),
     ("sensor.name", "Part of the topic names."),
     ("sensor.mount", "Distance and bearing of its place from the robot's centre, yaw against that bearing."),

@@ -97,6 +97,8 @@ pub const SMOOTHING_MIN_HZ: f64 = 10.0;
 
 /// Farthest range that can be asked to be focused.
 pub const FOCUS_TO_MAX_M: f64 = 1000.0;
+/// Most rounds of CLEAN: there is nothing left to take out of a room after fewer.
+pub const CLEAN_ROUNDS_MAX: usize = 16;
 
 /// `[imaging]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -131,6 +133,10 @@ pub struct ImagingParams {
     pub coherence: Coherence,
     /// Weights of the microphones.
     pub apodization: Apodization,
+    /// Rounds of CLEAN, 1 to 16: how often the strongest echoes are taken out with their side lobes, to be put back without. Off when
+    /// absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clean_rounds: Option<usize>,
 }
 
 impl Default for ImagingParams {
@@ -148,6 +154,7 @@ impl Default for ImagingParams {
             multiply_order: None,
             coherence: Coherence::None,
             apodization: Apodization::Uniform,
+            clean_rounds: None,
         }
     }
 }

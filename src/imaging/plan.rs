@@ -22,6 +22,7 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 mod apodization;
+pub mod clean;
 pub mod combine;
 mod filters;
 mod floor;

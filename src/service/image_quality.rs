@@ -56,6 +56,8 @@ pub struct Candidate {
     pub apodization: Apodization,
     /// As in the configuration.
     pub focus_to_m: Option<f64>,
+    /// Rounds of CLEAN.
+    pub clean_rounds: Option<usize>,
 }
 
 /// What was found of one beamformer; all levels are in decibels against the loud echo.
@@ -92,6 +94,7 @@ pub fn candidates() -> Vec<Candidate> {
         coherence: Coherence::None,
         apodization: Apodization::Uniform,
         focus_to_m: Some(0.0),
+        clean_rounds: None,
     };
     let focused = Candidate { name: "delay-and-sum, focused", focus_to_m: None, ..plain.clone() };
     let with = |name, coherence| Candidate { name, coherence, ..focused.clone() };
@@ -121,6 +124,8 @@ pub fn candidates() -> Vec<Candidate> {
             coherence: Coherence::Amplitude,
             ..focused.clone()
         },
+        Candidate { name: "CLEAN, 2 rounds", clean_rounds: Some(2), ..focused.clone() },
+        Candidate { name: "CLEAN, 4 rounds", clean_rounds: Some(4), ..focused.clone() },
         Candidate { name: "minimum variance", beamformer: MinimumVariance, ..focused },
     ]
 }
@@ -278,9 +283,16 @@ fn gain(level_db: i32) -> f64 {
 }
 
 fn setup_of(config: &Config, candidate: &Candidate) -> Result<SensingSetup, ServiceError> {
-    let Candidate { beamformer, multiply_order, coherence, apodization, focus_to_m, .. } = *candidate;
-    let imaging =
-        ImagingParams { beamformer, multiply_order, coherence, apodization, focus_to_m, ..config.imaging.clone() };
+    let Candidate { beamformer, multiply_order, coherence, apodization, focus_to_m, clean_rounds, .. } = *candidate;
+    let imaging = ImagingParams {
+        beamformer,
+        multiply_order,
+        coherence,
+        apodization,
+        focus_to_m,
+        clean_rounds,
+        ..config.imaging.clone()
+    };
     Ok(wiring::sensing(&Config { imaging, ..config.clone() })?)
 }
 

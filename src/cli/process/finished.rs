@@ -84,7 +84,7 @@ pub fn settings(
     // A checksum takes anything; formatting into it cannot fail.
     let _ = write!(
         sum,
-        "{} {backend} {png} {format:?} {:?} {:?} {} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {directions:?} {hidden:?}",
+        "{} {backend} {png} {format:?} {:?} {:?} {} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {directions:?} {hidden:?}",
         env!("CARGO_PKG_VERSION"),
         config.recording,
         config.emission,
@@ -99,6 +99,7 @@ pub fn settings(
         imaging.multiply_order,
         imaging.coherence,
         imaging.apodization,
+        imaging.clean_rounds,
         sensors[sensor_index],
     );
     Ok(format!("{:08x}-{}", sum.hasher.finalize(), sum.len))

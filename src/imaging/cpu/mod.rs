@@ -7,6 +7,8 @@
 
 mod aligned;
 mod channel_signal;
+mod clean;
+mod cleaning;
 mod combine;
 mod delay_and_sum;
 mod demodulate;
@@ -143,6 +145,18 @@ impl CpuBackend {
         done
     }
 
+    /// Takes the strongest echoes out, images what is left, and puts them back without their side lobes.
+    fn clean(&self) -> Result<(), BackendError> {
+        let Some(clean) = self.work.plan.focus.as_ref().and_then(|focus| focus.clean.as_ref()) else { return Ok(()) };
+        for round in 0..clean.rounds {
+            self.work.cleaning.round.store(round, Ordering::Release);
+            for phase in [Phase::Pick, Phase::Fit, Phase::TakeOut, Phase::Focus] {
+                self.phase(phase)?;
+            }
+        }
+        self.phase(Phase::PutBack)
+    }
+
     fn stages(&mut self, last: Stage) -> Result<(), BackendError> {
         self.stage_times_ns = StageTimes::default();
         let mut start = Instant::now();
@@ -173,6 +187,7 @@ impl CpuBackend {
             if last >= Stage::Focus && self.work.plan.focus.is_some() {
                 self.phase(Phase::Signals)?;
                 self.phase(Phase::Focus)?;
+                self.clean()?;
                 self.stage_times_ns[Stage::Focus as usize] = lap_ns();
             }
             if !self.work.finish_images() {

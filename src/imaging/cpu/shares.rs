@@ -32,11 +32,15 @@ pub(super) enum Phase {
     Beams,
     Signals,
     Focus,
+    Pick,
+    Fit,
+    TakeOut,
+    PutBack,
     Rows,
 }
 
 impl Phase {
-    const ALL: [Phase; 8] = [
+    const ALL: [Phase; 12] = [
         Phase::Judge,
         Phase::Demodulate,
         Phase::BandPass,
@@ -44,6 +48,10 @@ impl Phase {
         Phase::Beams,
         Phase::Signals,
         Phase::Focus,
+        Phase::Pick,
+        Phase::Fit,
+        Phase::TakeOut,
+        Phase::PutBack,
         Phase::Rows,
     ];
 }
@@ -70,6 +78,7 @@ impl Work {
                     self.focus(&job, &groups[index / directions], index % directions, scratch);
                 });
             }
+            Phase::Pick | Phase::Fit | Phase::TakeOut | Phase::PutBack => self.clean_share(&job, phase),
             Phase::Rows => self.take_tasks(self.row_pieces.len(), |index| self.sum_rows(&job, index, scratch)),
         }
     }
@@ -241,10 +250,8 @@ impl Work {
     ) {
         let channel_count = group.steering.channel_count();
         let blocks = channel_count.div_ceil(self.lanes);
-        let of = |block: usize, sensor: usize| {
-            let piece = |piece: &Piece| piece.sensor == sensor && piece.block == block;
-            self.transformed.iter().position(piece).map(|index| reading(&self.spectra[index]))
-        };
+        let of =
+            |block: usize, sensor: usize| self.signals_of(sensor, block).map(|index| reading(&self.spectra[index]));
         let mut guards = [const { None }; BLOCKS_MAX];
         for (index, guard) in guards[..blocks * active.len()].iter_mut().enumerate() {
             *guard = of(index / active.len(), active[index % active.len()]);
@@ -318,6 +325,11 @@ impl Work {
         simd::channel_signal(self.set, task);
     }
 
+    /// Which spectra and signals are those of a block of channels.
+    pub(super) fn signals_of(&self, sensor: usize, block: usize) -> Option<usize> {
+        self.transformed.iter().position(|piece| piece.sensor == sensor && piece.block == block)
+    }
+
     /// The focused cells of one direction of the sensors of a group.
     fn focus(&self, job: &Job, group: &[usize], direction: usize, scratch: &mut Scratch) {
         let Some(focus) = &self.plan.focus else { return };
@@ -343,8 +355,7 @@ impl Work {
         let blocks = channel_count.div_ceil(self.lanes);
         for (index, guard) in guards[..blocks * active].iter_mut().enumerate() {
             let Some((sensor, _)) = &rows[index % active] else { continue };
-            let ours = |piece: &Piece| piece.sensor == *sensor && piece.block == index / active;
-            *guard = self.transformed.iter().position(ours).map(|index| reading(&self.signals[index]));
+            *guard = self.signals_of(*sensor, index / active).map(|index| reading(&self.signals[index]));
         }
         let mut signals: [&[f32]; BLOCKS_MAX] = [&[]; BLOCKS_MAX];
         for (signal, guard) in signals.iter_mut().zip(&guards) {

@@ -6,6 +6,7 @@
 
 use super::aligned::Aligned;
 use super::channel_signal::signals_len;
+use super::cleaning::Cleaning;
 use super::delay_and_sum::{self, Fold, Steering};
 use super::demodulate::{BitFilter, WORD_CHANNELS};
 use super::focus;
@@ -114,6 +115,7 @@ pub(super) struct Work {
     pub to_signal: Option<Transform>,
     /// Sensors of one geometry together.
     pub focus_groups: Vec<Vec<usize>>,
+    pub cleaning: Cleaning,
     /// `[sensor]` of `[direction][range]`: being written, and finished.
     pub drafts: Vec<SharedImage>,
     pub images: Vec<RwLock<Vec<f32>>>,
@@ -274,6 +276,7 @@ impl Work {
                 .collect(),
             to_signal,
             focus_groups: focus_groups(&plan),
+            cleaning: Cleaning::new(&plan),
             bit_filter,
             forward,
             inverse,

@@ -14,6 +14,7 @@
 //! computed while the other is uploaded and read back.
 
 mod device;
+mod focusing;
 mod inspect;
 mod params;
 mod program;

@@ -87,7 +87,7 @@ pub(super) struct Blueprint<'a> {
     steering: Steering,
     forward: Vec<Pass>,
     inverse: Vec<Pass>,
-    to_signal: Vec<Pass>,
+    pub(super) to_signal: Vec<Pass>,
     work_bytes: usize,
 }
 
@@ -160,12 +160,12 @@ impl<'a> Blueprint<'a> {
     }
 
     /// Sensors of the largest bank.
-    fn bank_sensors(&self) -> usize {
+    pub(super) fn bank_sensors(&self) -> usize {
         self.banks.iter().map(|bank| bank.sensors.len()).max().unwrap_or(1)
     }
 
     /// Channels of a bank, gaps included.
-    fn channel_rows(&self) -> usize {
+    pub(super) fn channel_rows(&self) -> usize {
         self.bank_sensors() * channel_stride(self.plan)
     }
 
@@ -218,6 +218,9 @@ impl<'a> Blueprint<'a> {
             Resource::Emitters => Table(bytemuck::cast_slice(&self.geometry.emitters)),
             Resource::FocusRanges => Table(bytemuck::cast_slice(&self.geometry.focus_range_m)),
             Resource::Interpolator => Table(plan.focus.as_ref().map_or(&[], |focus| bytemuck::cast_slice(&focus.taps))),
+            Resource::Picks | Resource::Echoes | Resource::Arrivals => Zeros(self.clean_bytes(resource)),
+            Resource::CleanTable => Table(bytemuck::cast_slice(&self.geometry.clean)),
+            Resource::Pulse => Table(bytemuck::cast_slice(&self.geometry.pulse)),
             Resource::Entries => Table(bytemuck::cast_slice(&self.masks.entries)),
             Resource::Rows => Table(bytemuck::cast_slice(&self.masks.rows)),
             Resource::Ranges => Table(bytemuck::cast_slice(&self.masks.ranges)),
@@ -403,39 +406,6 @@ impl<'a> Blueprint<'a> {
         }
         Ok(())
     }
-
-    fn focus(&self, list: &mut List) -> Result<(), BackendError> {
-        use Resource::{
-            Along, Emitters, FocusRanges, Gains, Image, Interpolator, Signals, Spectra, Squares, WorkA, WorkB,
-        };
-        let Some(focus) = &self.plan.focus else { return Ok(()) };
-        let sensors = self.banks[list.bank].sensors.len() as u32;
-        let sub_bands = focus.combine.sub_bands as u32;
-        let oversampling = [("OVERSAMPLING", focus.oversampling as f64), ("SUB_BANDS", f64::from(sub_bands))];
-        let (mut from, mut to) = (Spectra, WorkA);
-        for (index, pass) in self.to_signal.iter().enumerate() {
-            let constants = [&pass.constants(focus.signal_len)[..], &oversampling].concat();
-            let rows = sub_bands * sensors * channel_stride(self.plan) as u32;
-            let threads = [focus.signal_len as u32 / pass.radix(), rows, 1];
-            if index + 1 == self.to_signal.len() {
-                list.push("signal_last", &constants, &[from, Signals], threads)?;
-            } else {
-                let name = if index == 0 { "signal_first" } else { "signal_pass" };
-                list.push(name, &constants, &[from, to], threads)?;
-                (from, to) = (to, if to == WorkA { WorkB } else { WorkA });
-            }
-        }
-        let bindings = [Signals, Along, Squares, Emitters, FocusRanges, Interpolator, Image, Gains];
-        let threads = [focus.range_count as u32, self.plan.grid.direction_count() as u32, sensors];
-        // Four ranges a thread need blocks that begin and end at fours; the last may end with the image.
-        let fours = focus.blocks.iter().all(|block| block.first % 4 == 0);
-        if focus.combine.is_sum() && fours {
-            let threads = [threads[0].div_ceil(4), threads[1], threads[2]];
-            return list.push("focus_sums", &oversampling, &bindings[..7], threads);
-        }
-        let combine = [("ORDER", focus.combine.order as f64), ("COHERENCE", f64::from(focus.combine.coherence as u8))];
-        list.push("focus", &[&oversampling[..], &combine].concat(), &bindings, threads)
-    }
 }
 
 /// What one group of sensors has in a tile.
@@ -454,8 +424,8 @@ impl Part {
 }
 
 /// The dispatches of a bank while they are listed.
-struct List {
-    bank: usize,
+pub(super) struct List {
+    pub bank: usize,
     tile: Option<usize>,
     block: usize,
     dispatches: Vec<Dispatch>,
@@ -463,7 +433,7 @@ struct List {
 
 impl List {
     /// Adds a dispatch of at least `threads` threads. `resources` are in the order of the kernel's bindings.
-    fn push(
+    pub(super) fn push(
         &mut self,
         entry_point: &'static str,
         constants: &[(&'static str, f64)],

@@ -40,7 +40,9 @@ pub fn source(stage: Stage) -> &'static str {
         }
         Stage::DelayAndSum => joined!("common/params.wgsl", "common/complex.wgsl", "delay_and_sum.wgsl"),
         Stage::Envelope => joined!("common/params.wgsl", "common/complex.wgsl", "common/fft.wgsl", "envelope.wgsl"),
-        Stage::Focus => joined!("common/params.wgsl", "common/complex.wgsl", "common/fft.wgsl", "focus.wgsl"),
+        Stage::Focus => {
+            joined!("common/params.wgsl", "common/complex.wgsl", "common/fft.wgsl", "focus.wgsl", "clean.wgsl")
+        }
         Stage::MaskedEnergy => joined!("common/params.wgsl", "masked_energy.wgsl"),
     }
 }
@@ -51,6 +53,11 @@ const BUTTERFLIES: [u32; 3] = [16, 8, 1];
 const FOCUS_BINDINGS: &[(u32, Access)] = {
     use Access::{Read, Write};
     &[(1, Read), (4, Read), (5, Read), (6, Read), (7, Read), (8, Read), (9, Write), (10, Read)]
+};
+
+const CLEAN_FIT_BINDINGS: &[(u32, Access)] = {
+    use Access::{Read, Write};
+    &[(1, Read), (8, Read), (10, Read), (11, Write), (12, Write), (13, Write), (14, Read), (15, Read)]
 };
 
 /// All kernels, in the order of the stages.
@@ -76,6 +83,10 @@ pub const KERNELS: &[Kernel] = {
         kernel(Focus, "signal_last", BUTTERFLIES, &[(1, Read), (3, Write)]),
         kernel(Focus, "focus", ALONG, FOCUS_BINDINGS),
         kernel(Focus, "focus_sums", ALONG, FOCUS_BINDINGS.split_at(7).0),
+        kernel(Focus, "clean_pick", ALONG, &[(9, Write), (11, Write)]),
+        kernel(Focus, "clean_fit", ALONG, CLEAN_FIT_BINDINGS),
+        kernel(Focus, "clean_take_out", ALONG, &[(3, Write), (10, Read), (12, Write), (13, Write), (15, Read)]),
+        kernel(Focus, "clean_put_back", ALONG, &[(6, Read), (9, Write), (12, Write), (14, Read)]),
         kernel(MaskedEnergy, "masked_energy", [128, 1, 1], &[(1, Read), (2, Read), (3, Read), (4, Read), (5, Write)]),
     ]
 };

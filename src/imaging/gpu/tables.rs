@@ -4,8 +4,9 @@
 //! In: plan and mask table. Out: flat arrays and the sizes that index them. Never touches a device.
 
 use super::params::channel_stride;
-use crate::imaging::plan::ImagingPlan;
+use crate::imaging::plan::clean::CleanPlan;
 use crate::imaging::plan::focus::FocusBlock;
+use crate::imaging::plan::{FocusPlan, ImagingPlan};
 use crate::signal::MaskTable;
 use std::collections::HashMap;
 
@@ -233,6 +234,10 @@ pub(super) struct Geometry {
     pub emitters: Vec<[f32; 4]>,
     /// `[range]`: the range whose excess it has.
     pub focus_range_m: Vec<f32>,
+    /// What CLEAN reads, see `shaders/clean.wgsl`.
+    pub clean: Vec<[f32; 4]>,
+    /// `[sensor][entry]`.
+    pub pulse: Vec<[f32; 4]>,
 }
 
 impl Geometry {
@@ -255,7 +260,28 @@ impl Geometry {
         }
         let of_block = |block: &FocusBlock| std::iter::repeat_n(block.range_m as f32, block.len);
         geometry.focus_range_m = focus.blocks.iter().flat_map(of_block).collect();
+        if let Some(clean) = &focus.clean {
+            geometry.add_clean(clean, focus, stride);
+        }
         geometry
+    }
+
+    fn add_clean(&mut self, clean: &CleanPlan, focus: &FocusPlan, stride: usize) {
+        let with = |[x, y, z]: [f32; 3], last: f32| [x, y, z, last];
+        self.clean.extend(clean.units.iter().map(|unit| with(*unit, 0.0)));
+        for (sensor, geometry) in clean.sensors.iter().zip(&focus.sensors) {
+            let places =
+                sensor.places_m.iter().zip(&geometry.square_m2).map(|(place_m, square)| with(*place_m, *square));
+            self.clean.extend(places.chain(std::iter::repeat([0.0; 4])).take(stride));
+        }
+        for (sensor, geometry) in clean.sensors.iter().zip(&focus.sensors) {
+            let [xx, yy, zz, xy, xz, yz] = sensor.lobe;
+            self.clean.push(with(geometry.emitter_m, geometry.emitter_square_m2));
+            self.clean.push([xx, yy, zz, sensor.slope_per_sample]);
+            self.clean.push([xy, xz, yz, 0.0]);
+            self.clean.push(sensor.centre);
+        }
+        self.pulse.extend(clean.sensors.iter().flat_map(|sensor| sensor.pulse.iter()));
     }
 }
 

@@ -6,6 +6,7 @@
 //! (Laakso et al. 1996, "Splitting the unit delay"). One excess serves a *block* of ranges, short enough that it is right
 //! for all of them within [`PHASE_ERROR_MAX_DEG`]. In: what the plan knows. Out: [`FocusPlan`]. Never touches a sample.
 
+use super::clean::{self, CleanPlan};
 use super::combine::Combine;
 use super::sizes::is_smooth;
 use super::{Band, ImagingPlan};
@@ -51,6 +52,8 @@ pub struct FocusPlan {
     pub oversampling: usize,
     /// What is made of the aligned channels.
     pub combine: Combine,
+    /// What is taken out of them before, if anything.
+    pub clean: Option<CleanPlan>,
     /// Length of the transform that makes a channel signal: oversampling times M.
     pub signal_len: usize,
     /// Bin that becomes frequency zero.
@@ -89,7 +92,9 @@ pub struct SensorFocus {
     pub square_m2: Vec<f32>,
     /// `[direction]`: e.u.
     pub emitter_along_m: Vec<f32>,
-    /// |e|^2.
+    /// e, and |e|^2.
+    pub emitter_m: [f32; 3],
+    /// See `emitter_m`.
     pub emitter_square_m2: f32,
 }
 
@@ -123,7 +128,7 @@ fn radius_m(sensor: &SensorSetup) -> f64 {
 /// The focus of a plan that is otherwise made, or none where no range is to be focused.
 ///
 /// # Errors
-/// As [`Combine::new`], and where no transform length exists.
+/// As [`Combine::new`] and [`clean::rounds`], and where no transform length exists.
 pub(super) fn focus(
     plan: &ImagingPlan,
     sensors: &[SensorSetup],
@@ -132,8 +137,9 @@ pub(super) fn focus(
     speed_of_sound_m_s: f64,
 ) -> Result<Option<FocusPlan>, ParameterError> {
     let combine = Combine::new(params)?;
+    let rounds = clean::rounds(params, combine.is_sum())?;
     let to_m = match params.focus_to_m {
-        _ if !combine.is_sum() => f64::INFINITY,
+        _ if !combine.is_sum() || rounds > 0 => f64::INFINITY,
         Some(to_m) => to_m,
         None if params.smoothing_hz.is_some() => 0.0,
         None => plane_wave_from_m(sensors, band, speed_of_sound_m_s),
@@ -153,11 +159,12 @@ pub(super) fn focus(
     let reach_m = sensors.iter().map(|s| radius_m(s) + s.emitter_m.norm()).fold(0.0, f64::max);
     let lead = ((reach_m * samples_per_m) as usize + TAPS).div_ceil(oversampling) + 1 + combine.reach();
     let centre_bin = plan.first_bin + plan.bin_count / 2;
-    Ok(Some(FocusPlan {
+    let mut focus = FocusPlan {
         range_count,
         blocks,
         oversampling,
         combine,
+        clean: None,
         signal_len,
         centre_bin,
         row_len: 2 * lead + range_count + OVERRUN,
@@ -166,7 +173,12 @@ pub(super) fn focus(
         turns_per_m: centre_bin as f64 * plan.bin_step_hz / speed_of_sound_m_s,
         taps: interpolator(band.width_hz() / rate_hz),
         sensors: sensors.iter().map(|sensor| sensor_focus(plan, sensor)).collect(),
-    }))
+    };
+    if rounds > 0 {
+        let bands = Band::of(sensors, plan.sample_rate_hz)?;
+        focus.clean = Some(clean::clean(plan, &focus, sensors, &bands, rounds, speed_of_sound_m_s));
+    }
+    Ok(Some(focus))
 }
 
 fn sensor_focus(plan: &ImagingPlan, sensor: &SensorSetup) -> SensorFocus {
@@ -176,6 +188,7 @@ fn sensor_focus(plan: &ImagingPlan, sensor: &SensorSetup) -> SensorFocus {
         along_m: units.iter().flat_map(|unit| places.iter().map(|place| place.dot(unit) as f32)).collect(),
         square_m2: places.iter().map(|place| place.norm_squared() as f32).collect(),
         emitter_along_m: units.iter().map(|unit| sensor.emitter_m.dot(unit) as f32).collect(),
+        emitter_m: [0, 1, 2].map(|axis| sensor.emitter_m[axis] as f32),
         emitter_square_m2: sensor.emitter_m.norm_squared() as f32,
     }
 }
