@@ -244,7 +244,13 @@ impl Config {
     /// What is wrong with them.
     pub fn directions(&self) -> Result<Vec<Direction>, ParameterError> {
         let directions = match &self.imaging.directions.file {
-            None => steering::horizontal_directions(&self.imaging.directions),
+            None => steering::directions(&self.imaging.directions),
+            Some(_)
+                if self.imaging.directions.equal_area.is_some() || self.imaging.directions.elevation_deg.is_some() =>
+            {
+                let allowed = "a file, or equal_area with elevation_deg: not both";
+                Err(ParameterError::new("directions.file", "a file beside equal_area or elevation_deg", allowed))
+            }
             Some(file) => {
                 let path = self.base_dir.join(file);
                 let unread = |error: DocumentError| {

@@ -22,14 +22,14 @@ fn noctule(config: &Path, arguments: &[&str]) -> Command {
 }
 
 /// One listener a topic, of a daemon that drives the simulated robot for three seconds; what each heard.
-fn heard(place: &Place, config: &Path, run_also: &[&str]) -> Vec<Vec<Value>> {
+fn heard(place: &Place, config: &Path, topics: &[&str], run_also: &[&str]) -> Vec<Vec<Value>> {
     // Into files: scans of three seconds are more than a pipe that nobody reads yet holds.
     let file = |topic: &str| place.directory.path().join(topic.replace('/', "_"));
     let listen = |topic: &&str| -> Child {
         let out = File::create(file(topic)).expect("made");
         noctule(config, &["echo", topic, "--json"]).stdout(out).spawn().expect("started")
     };
-    let listeners: Vec<Child> = TOPICS.iter().map(listen).collect();
+    let listeners: Vec<Child> = topics.iter().map(listen).collect();
     let mut run = vec!["run", "--source", "sim", "--backend", "cpu", "--duration", "3"];
     run.extend(run_also);
     let status = noctule(config, &run).stdout(Stdio::null()).status().expect("run");
@@ -41,7 +41,7 @@ fn heard(place: &Place, config: &Path, run_also: &[&str]) -> Vec<Vec<Value>> {
         let text = std::fs::read_to_string(file(topic)).expect("UTF-8");
         text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect()
     };
-    TOPICS.into_iter().zip(listeners).map(lines).collect()
+    topics.iter().copied().zip(listeners).map(lines).collect()
 }
 
 fn times(samples: &[Value]) -> BTreeSet<u64> {
@@ -57,7 +57,7 @@ fn detections_of_every_ping_set_are_published_and_recorded() {
     let place = Place::new();
     let config = place.config_file();
     let recording = place.directory.path().join("run.mcap");
-    let all = heard(&place, &config, &["--record", recording.to_str().expect("UTF-8")]);
+    let all = heard(&place, &config, &TOPICS, &["--record", recording.to_str().expect("UTF-8")]);
     let [scans, obstacles, objects, motions, commands] = all.as_slice() else { panic!("{}", all.len()) };
     // Three seconds are thirty ping sets; the first of them are taken by the self-test.
     for (topic, samples) in TOPICS.iter().zip(&all) {
@@ -117,7 +117,32 @@ fn a_robot_without_detectors_publishes_none_and_drives_as_before() {
     let config = place.config_file();
     let text = std::fs::read_to_string(&config).expect("read") + "[detect]\nenabled = false\n";
     std::fs::write(&config, text).expect("written");
-    let all = heard(&place, &config, &[]);
+    let all = heard(&place, &config, &TOPICS, &[]);
     assert_eq!(all[..4].iter().map(Vec::len).collect::<Vec<_>>(), [0, 0, 0, 0]);
     assert!(all[4].len() >= 20, "{}", all[4].len());
+}
+
+#[test]
+fn a_robot_with_an_equal_area_grid_publishes_points_in_space_and_one_with_a_fan_does_not() {
+    let place = Place::new();
+    let config = place.config_file();
+    let recording = place.directory.path().join("run.mcap");
+    let topics = ["noctule/points", "noctule/scan"];
+    let level = heard(&place, &config, &topics, &[]);
+    assert!(level[0].is_empty() && level[1].len() >= 20, "{} {}", level[0].len(), level[1].len());
+    let text = std::fs::read_to_string(&config).expect("read");
+    let imaging = "[imaging]\ndirections = { equal_area = 200 }\n[platform]\nz_m = [-0.2, 0.3]\n";
+    std::fs::write(&config, text + imaging).expect("written");
+    let all = heard(&place, &config, &topics, &["--record", recording.to_str().expect("UTF-8")]);
+    let (clouds, scans) = (&all[0], &all[1]);
+    assert!(clouds.len() >= 20 && scans.len() >= 20, "{} {}", clouds.len(), scans.len());
+    let cloud = clouds.last().expect("some");
+    assert_eq!((array(cloud, "x_m").len(), array(cloud, "slice_m").len()), (192, 180));
+    let count = cloud["point_count"].as_u64().expect("number") as usize;
+    assert!(count > 0 && cloud["obstacle_count"].as_u64() <= cloud["point_count"].as_u64(), "{cloud}");
+    assert!(array(cloud, "variance_z_m2")[..count].iter().all(|variance| variance.as_f64() > Some(0.0)));
+    let bytes = std::fs::read(&recording).expect("read");
+    for topic in ["/noctule/points", "/noctule/point_cloud"] {
+        assert!(count_of(&bytes, topic.as_bytes()) > 0, "{topic} is in the recording");
+    }
 }

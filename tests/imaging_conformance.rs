@@ -9,7 +9,7 @@ use common::scenes::{Case, Sweep, ping_set, random_array, random_masks};
 use common::{Random, relative_l2, relative_l2_complex};
 use noctule::imaging::backend::{BackendError, Image, Stage, StageOutput};
 use noctule::imaging::cpu::InstructionSet;
-use noctule::imaging::params::{ImagingParams, Weighting};
+use noctule::imaging::params::{DirectionsParams, ImagingParams, Weighting};
 use noctule::imaging::plan::ImagingPlan;
 use noctule::sensor::RecordingFormat;
 use noctule::signal::{Direction, MaskTable, PingSet, RowSums, SampleFormat, Samples};
@@ -56,6 +56,13 @@ fn cases() -> Vec<Case> {
     let sweep = Sweep::new(40e3, 25e3, 192e3);
     let mut case = Case::new("volume array, 3-D grid", vec![volume.clone()], sweep, pcm(192e3, 6000), grid_3d());
     case.params = range(0.2, 4.0, None);
+    cases.push(case);
+
+    let equal_area = DirectionsParams { equal_area: Some(64), ..DirectionsParams::default() };
+    let directions = noctule::imaging::steering::directions(&equal_area).unwrap();
+    let flat = random_array(32, 0.06, true, 11);
+    let mut case = Case::new("flat array, equal areas", vec![flat], sweep, pcm(192e3, 4200), directions);
+    case.params = range(0.25, 2.1, None);
     cases.push(case);
 
     let sweep = Sweep::new(80e3, 20e3, 400e3);

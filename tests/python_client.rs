@@ -13,6 +13,7 @@ use noctule::io::wire::message::{
     EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput,
 };
 use noctule::io::wire::motion::EgoMotion;
+use noctule::io::wire::points::PointCloud3;
 use noctule::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use noctule::io::wire::{Field, WireType};
 use noctule::signal::SampleFormat;
@@ -268,7 +269,7 @@ fn another_version_of_the_wheel_is_named_as_the_cause() {
 /// Type name, size, alignment, schema hash and fields as Rust has them.
 type RustLayout = (&'static str, usize, usize, u64, &'static [Field]);
 
-fn rust_layouts() -> [RustLayout; 13] {
+fn rust_layouts() -> [RustLayout; 14] {
     fn of<T: WireType>() -> RustLayout {
         (T::TYPE_NAME, size_of::<T>(), align_of::<T>(), T::SCHEMA_HASH, T::FIELDS)
     }
@@ -285,6 +286,7 @@ fn rust_layouts() -> [RustLayout; 13] {
         of::<Obstacle>(),
         of::<Objects>(),
         of::<EgoMotion>(),
+        of::<PointCloud3>(),
         of::<Health>(),
     ]
 }

@@ -6,13 +6,14 @@ use noctule::io::wire::message::{
     EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput,
 };
 use noctule::io::wire::motion::EgoMotion;
+use noctule::io::wire::points::PointCloud3;
 use noctule::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use noctule::io::wire::{Field, WireType};
 use std::fmt::Write as _;
 use tempfile::TempDir;
 
 /// Written by hand: type name, size, and every field as `type name[count]` in the order in which it lies.
-const GOLDEN: [(&str, usize, &str); 13] = [
+const GOLDEN: [(&str, usize, &str); 14] = [
     (
         "noctule.RawHeader.v1",
         64,
@@ -74,6 +75,11 @@ const GOLDEN: [(&str, usize, &str); 13] = [
         "u64 schema_hash; u64 sequence; u64 t_monotonic_ns; u64 t_wall_ns; u64 t_completed_ns; f64 interval_s; f64 linear_m_s; f64 angular_rad_s; f64 variance_linear_m2_s2; f64 covariance_m_rad_s2; f64 variance_angular_rad2_s2; f64 odometry_linear_m_s; f64 odometry_angular_rad_s; f64 innovation; f64 mover_x_m[8]; f64 mover_y_m[8]; f64 mover_x_m_s[8]; f64 mover_y_m_s[8]; f64 mover_variance_x_m2_s2[8]; f64 mover_covariance_xy_m2_s2[8]; f64 mover_variance_y_m2_s2[8]; f64 mover_radius_m[8]; f64 mover_contact_s[8]; u32 mover_id[8]; u32 mover_age[8]; u32 mover_count; u32 matched_count; u32 inlier_count; u32 linear_observed; u32 angular_observed; u32 slip",
     ),
     (
+        "noctule.PointCloud3.v1",
+        10000,
+        "u64 schema_hash; u64 sequence; u64 t_monotonic_ns; u64 t_wall_ns; u64 t_completed_ns; f64 floor_m; f64 ceiling_m; f32 slice_m[180]; f32 x_m[192]; f32 y_m[192]; f32 z_m[192]; f32 variance_x_m2[192]; f32 covariance_xy_m2[192]; f32 covariance_xz_m2[192]; f32 variance_y_m2[192]; f32 covariance_yz_m2[192]; f32 variance_z_m2[192]; f32 energy[192]; u32 sensor_index[192]; u32 class[192]; u32 point_count; u32 obstacle_count",
+    ),
+    (
         "noctule.Health.v1",
         368,
         "u64 schema_hash; u64 epoch; u64 t_monotonic_ns; u64 t_wall_ns; u64 ping_set_count; u64 command_count; u64 dropped_count; u64 late_count; u64 gpu_loss_count; u64 stop_count; u64 rejected_count[3]; u64 gap_count[3]; u64 desync_ns; f64 latency_ms; f64 latency_p50_ms; f64 latency_p99_ms; f64 latency_max_ms; f64 stage_ms[5]; u32 bad_channel_count[3]; u32 sensors_present; u32 state; u32 reason; u32 backend; u32 recording; u8 adapter[64]; f64 heard_speed_m_s[3]; f64 heard_speed_sd_m_s[3]; u32 drift[3]; u32 drift_looks",
@@ -98,6 +104,7 @@ fn actual() -> Vec<(&'static str, usize, usize, &'static [Field])> {
         of::<Obstacle>(),
         of::<Objects>(),
         of::<EgoMotion>(),
+        of::<PointCloud3>(),
         of::<Health>(),
     ]
 }

@@ -445,6 +445,56 @@ NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, reason) == 108, "no
 NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, daemon_state) == 112, "noctule.PlatformVelocity.v1.daemon_state");
 NOCTULE_ASSERT(offsetof(struct noctule_platform_velocity_v1, daemon_reason) == 116, "noctule.PlatformVelocity.v1.daemon_reason");
 
+#define NOCTULE_POINT_CLOUD3_V1_TYPE_NAME "noctule.PointCloud3.v1"
+#define NOCTULE_POINT_CLOUD3_V1_SCHEMA_HASH UINT64_C(0x68aa68275c9651e8)
+struct noctule_point_cloud3_v1 {
+    uint64_t schema_hash; /* Layout of the writer. */
+    uint64_t sequence; /* Sequence of the ping set. */
+    uint64_t t_monotonic_ns; /* Its oldest emission, CLOCK_BOOTTIME. */
+    uint64_t t_wall_ns; /* The same on the wall clock. */
+    uint64_t t_completed_ns; /* When it was complete, CLOCK_BOOTTIME. */
+    double floor_m; /* Height of the floor above the sensors' origins, median of the last echoes from straight below; NaN while unknown. */
+    double ceiling_m; /* Height of the ceiling; NaN while unknown. */
+    float slice_m[180]; /* Nearest obstacle of each bearing from the robot's centre, two degrees each from straight behind on; +inf without one. */
+    float x_m[192]; /* Places, forward. */
+    float y_m[192]; /* To the left. */
+    float z_m[192]; /* Above the sensors' origins. */
+    float variance_x_m2[192]; /* Covariance, forward. */
+    float covariance_xy_m2[192]; /* Forward and left. */
+    float covariance_xz_m2[192]; /* Forward and up. */
+    float variance_y_m2[192]; /* Left. */
+    float covariance_yz_m2[192]; /* Left and up. */
+    float variance_z_m2[192]; /* Up. */
+    float energy[192]; /* Envelope, linear amplitude in units of full scale. */
+    uint32_t sensor_index[192]; /* Sensor that heard it, in the order of the configuration. */
+    uint32_t class[192]; /* 0 floor, 1 obstacle, 2 overhang, 3 ceiling. */
+    uint32_t point_count; /* Number of points. */
+    uint32_t obstacle_count; /* Of these, those at the robot's height. */
+};
+NOCTULE_ASSERT(sizeof(struct noctule_point_cloud3_v1) == 10000, "size of noctule.PointCloud3.v1");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, schema_hash) == 0, "noctule.PointCloud3.v1.schema_hash");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, sequence) == 8, "noctule.PointCloud3.v1.sequence");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, t_monotonic_ns) == 16, "noctule.PointCloud3.v1.t_monotonic_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, t_wall_ns) == 24, "noctule.PointCloud3.v1.t_wall_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, t_completed_ns) == 32, "noctule.PointCloud3.v1.t_completed_ns");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, floor_m) == 40, "noctule.PointCloud3.v1.floor_m");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, ceiling_m) == 48, "noctule.PointCloud3.v1.ceiling_m");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, slice_m) == 56, "noctule.PointCloud3.v1.slice_m");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, x_m) == 776, "noctule.PointCloud3.v1.x_m");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, y_m) == 1544, "noctule.PointCloud3.v1.y_m");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, z_m) == 2312, "noctule.PointCloud3.v1.z_m");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, variance_x_m2) == 3080, "noctule.PointCloud3.v1.variance_x_m2");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, covariance_xy_m2) == 3848, "noctule.PointCloud3.v1.covariance_xy_m2");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, covariance_xz_m2) == 4616, "noctule.PointCloud3.v1.covariance_xz_m2");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, variance_y_m2) == 5384, "noctule.PointCloud3.v1.variance_y_m2");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, covariance_yz_m2) == 6152, "noctule.PointCloud3.v1.covariance_yz_m2");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, variance_z_m2) == 6920, "noctule.PointCloud3.v1.variance_z_m2");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, energy) == 7688, "noctule.PointCloud3.v1.energy");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, sensor_index) == 8456, "noctule.PointCloud3.v1.sensor_index");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, class) == 9224, "noctule.PointCloud3.v1.class");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, point_count) == 9992, "noctule.PointCloud3.v1.point_count");
+NOCTULE_ASSERT(offsetof(struct noctule_point_cloud3_v1, obstacle_count) == 9996, "noctule.PointCloud3.v1.obstacle_count");
+
 #define NOCTULE_RAW_HEADER_V1_TYPE_NAME "noctule.RawHeader.v1"
 #define NOCTULE_RAW_HEADER_V1_SCHEMA_HASH UINT64_C(0xb100f6234927807a)
 struct noctule_raw_header_v1 {

@@ -9,6 +9,7 @@ mod record;
 mod scenes;
 mod series;
 mod simulate;
+mod space;
 #[cfg(feature = "view")]
 mod view;
 
@@ -24,6 +25,7 @@ pub use record::{RecordArguments, RecordingArguments, ReplayArguments};
 pub use scenes::ScenesArguments;
 pub use series::SeriesArguments;
 pub use simulate::{ConditionArguments, SimulateArguments};
+pub use space::SpaceArguments;
 #[cfg(feature = "view")]
 pub use view::{DEFAULT_LISTEN, ViewArguments};
 

@@ -1,10 +1,12 @@
 //! `noctule detect`: the range-based detectors at work: on readings that somebody else took, JSON in, JSON out; on worlds ([`edges`]); in
-//! simulated corridors ([`corridors`]), on simulated maps ([`scenes`]) and drives ([`motion`]).
+//! simulated corridors ([`corridors`]), on simulated maps ([`scenes`]), drives ([`motion`]) and rooms
+//! ([`space`]).
 
 mod corridors;
 mod edges;
 mod motion;
 mod scenes;
+mod space;
 
 use super::args::{ConfigChoice, DetectAction, DetectArguments};
 use super::output::print_line;
@@ -66,6 +68,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<(), Failure> {
             corridors::corridors(own, &chosen(&ConfigChoice { config: own.config.clone() }))
         }
         DetectAction::Motion(own) => motion::motion(own, &chosen(&ConfigChoice { config: own.config.clone() })),
+        DetectAction::Space(own) => space::space(own, &chosen(&ConfigChoice { config: own.config.clone() })),
         DetectAction::Scenes(own) => scenes::scenes(own, &chosen(&ConfigChoice { config: own.config.clone() })),
     }
 }

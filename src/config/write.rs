@@ -48,12 +48,17 @@ const COMMENTS: &[(&str, &str)] = &[
     ("imaging.range_step_m", "Largest distance between ranges."),
     (
         "imaging.directions",
-        "Directions of interest: a horizontal fan, or { file = \"directions.csv\" } of azimuth_deg,elevation_deg.",
+        "Directions of interest: a horizontal fan, or { equal_area = 2000 } of the front hemisphere, with elevation_deg = [low, high] if\n# not all of it, or { file = \"directions.csv\" } of azimuth_deg,elevation_deg.",
     ),
     ("imaging.directions.start_deg", "First bearing, 0 ahead, positive to the left."),
     ("imaging.directions.step_deg", "Step from one bearing to the next."),
     ("imaging.directions.count", "Number of bearings."),
     ("imaging.directions.file", "CSV of azimuth_deg,elevation_deg rows instead, relative to this file."),
+    (
+        "imaging.directions.equal_area",
+        "Directions of equal solid angle over the front hemisphere instead, 32 to 16384.",
+    ),
+    ("imaging.directions.elevation_deg", "Lowest and highest elevation of an equal-area grid."),
     ("imaging.weighting", "Matched filter: \"none\" or \"phat\"."),
     ("imaging.smoothing_hz", "Cut-off of the smoothing low-pass on the envelope."),
     (
@@ -82,12 +87,16 @@ const COMMENTS: &[(&str, &str)] = &[
         "What this sensor sends other than [emission] says: any of shape, start_hz, end_hz, duration_s, taper, file.",
     ),
     ("obstruction", "A shape in the robot frame that hides what is behind it."),
-    ("platform", "The robot."),
+    ("platform", "The robot. Optional: z_m."),
     ("platform.radius_m", "Radius of its footprint, a disc about the centre of rotation."),
     ("platform.max_linear_m_s", "Largest speed, either way."),
     ("platform.max_angular_rad_s", "Largest turn rate, either way."),
     ("platform.max_linear_accel_m_s2", "Largest change of speed."),
     ("platform.max_angular_accel_rad_s2", "Largest change of turn rate."),
+    (
+        "platform.z_m",
+        "Lowest and highest part of the robot above the plane of the sensors' origins, for grids with elevations: what is\n# lower is floor, what is higher it passes under.",
+    ),
     (
         "control",
         "The layered controller. A layer whose table says enabled = false is off. Regions are shapes in the robot\n# frame: rectangle, circle, half-circle, sector, trapezoid, polygon; flow-lines for flow following. Left out,\n# or left as they are here, they follow from [platform]. One set of thresholds serves every sensor layout:\n# energies are amplitudes after the gain of [control.energy], and a large wall reads 0.1 at any range. Where it\n# reads otherwise, change thresholds, releases, prominence and energy_reference in proportion.",
@@ -131,7 +140,10 @@ const COMMENTS: &[(&str, &str)] = &[
     ("safety.group_deadline_ms", "How long to wait for the other sensors of an emission."),
     ("safety.input_max_age_ms", "Oldest wanted velocity that is still obeyed."),
     ("detect", "Detectors on ranges, beside the controller."),
-    ("detect.enabled", "Whether the daemon runs them and publishes noctule/scan, /obstacle, /objects and /ego_motion."),
+    (
+        "detect.enabled",
+        "Whether the daemon runs them and publishes noctule/scan, /obstacle, /objects, /ego_motion and /points.",
+    ),
     (
         "detect.drive_path",
         "Whether the planned path below is driven: its follower wishes on noctule/input as any planner does.",

@@ -7,6 +7,8 @@
 //! The way of vector projection: [`projection`] detects on an edge, [`local_map`] remembers reflectors, [`obstacle`] measures and plans
 //! a way round, [`path_follower`] drives. [`voronoi`] makes edges from walls.
 //!
+//! In three dimensions: [`space_peaks`] finds every reflector of an image with elevations, [`space`] makes a cloud of them.
+//!
 //! Beside them, [`ego_motion`]: how the robot itself moves and what moves beside it, from how echoes move between ping sets.
 
 pub mod ego_fit;
@@ -27,6 +29,8 @@ pub mod route;
 pub mod scan_fuser;
 mod side_lobes;
 pub mod slip;
+pub mod space;
+pub mod space_peaks;
 pub mod tracks;
 pub mod triangulation;
 pub mod virtual_ring;
@@ -39,3 +43,4 @@ pub use path_follower::{Detector, FollowerState, ObstacleReport, PathFollower, P
 pub use range_scan::RangeScanner;
 pub use ring_detector::{RingDetector, RingReport};
 pub use scan_fuser::ScanFuser;
+pub use space::SpaceDetector;

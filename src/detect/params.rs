@@ -19,8 +19,8 @@ const EDGE_MIN_M: f64 = 0.01;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DetectParams {
-    /// Whether the daemon runs the detectors and publishes `noctule/scan`, `noctule/obstacle`, `noctule/objects` and
-    /// `noctule/ego_motion`.
+    /// Whether the daemon runs the detectors and publishes `noctule/scan`, `noctule/obstacle`, `noctule/objects`,
+    /// `noctule/ego_motion` and, on a grid with elevations, `noctule/points`.
     pub enabled: bool,
     /// Whether the follower of `projection.path_m` drives: it then publishes what it wishes on `noctule/input`, as any planner.
     pub drive_path: bool,

@@ -37,7 +37,11 @@ impl<'a> View<'a> {
     /// Sensors at `mounts` that share `grid`; `hidden[sensor][direction]` says what each cannot see.
     #[must_use]
     pub fn new(grid: &'a PolarGrid, mounts: &'a [Mount], hidden: &'a [Vec<bool>]) -> Self {
-        let mut azimuths: Vec<f64> = grid.directions().iter().filter(|d| is_level(d)).map(|d| d.azimuth_rad).collect();
+        // Of several rows of directions near the plane the one nearest to it says how far apart they are.
+        let height = |direction: &Direction| direction.elevation_rad.abs();
+        let lowest_rad = grid.directions().iter().map(height).fold(BEAM_HALF_WIDTH_RAD, f64::min);
+        let row = grid.directions().iter().filter(|direction| height(direction) <= lowest_rad + 1e-9);
+        let mut azimuths: Vec<f64> = row.map(|direction| direction.azimuth_rad).collect();
         azimuths.sort_by(f64::total_cmp);
         let mut gaps: Vec<f64> = azimuths.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > 0.0).collect();
         gaps.sort_by(f64::total_cmp);

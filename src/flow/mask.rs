@@ -2,7 +2,7 @@
 //! 4.1; specification, section 4).
 //!
 //! Goes in: grid, mounts, hidden directions, regions. Comes out: [`MaskSet`], built once. A cell is in a mask when its
-//! robot-frame point lies in the region and the cell is seen; side +1 for y >= 0, else -1. Never touches an image.
+//! robot-frame point lies in the region, at the robot's height where that is known, and the cell is seen; side +1 for y >= 0, else -1. Never touches an image.
 
 use super::coverage;
 use super::params::{MaskParams, PeakParams};
@@ -225,6 +225,7 @@ struct Builder<'a> {
     mounts: &'a [Mount],
     hidden: &'a [Vec<bool>],
     footprint_radius_m: f64,
+    z_m: Option<[f64; 2]>,
     masks: Vec<Mask>,
     table: MaskTable,
     rings: Vec<usize>,
@@ -246,6 +247,7 @@ impl<'a> Builder<'a> {
             mounts,
             hidden,
             footprint_radius_m: params.footprint_radius_m,
+            z_m: params.z_m,
             masks: Vec::new(),
             table,
             rings: Vec::new(),
@@ -364,8 +366,10 @@ impl<'a> Builder<'a> {
     fn mask(&self, layer: LayerName, sensor_index: usize, value_at: impl Fn(Vector2<f64>) -> i8) -> Mask {
         let mut values = vec![0; self.grid.cell_count()];
         for (cell, value) in values.iter_mut().enumerate() {
-            let (direction_index, _) = self.grid.direction_and_range(cell);
-            if !self.hidden[sensor_index][direction_index] {
+            let (direction_index, range_index) = self.grid.direction_and_range(cell);
+            let z_m = region::cell_height_m(self.grid, direction_index, range_index);
+            let in_way = self.z_m.is_none_or(|[low_m, high_m]| (low_m..=high_m).contains(&z_m));
+            if in_way && !self.hidden[sensor_index][direction_index] {
                 *value = value_at(self.point_m(sensor_index, cell));
             }
         }

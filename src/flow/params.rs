@@ -22,6 +22,8 @@ pub struct MaskParams {
     pub range_gain: RangeGain,
     /// Envelope below which a cell counts as silent, before the gain.
     pub noise_floor: NoiseFloor,
+    /// Lowest and highest part of the robot above the plane of the sensors' origins; cells that are lower or higher are in no region.
+    pub z_m: Option<[f64; 2]>,
     /// Radius of the robot's footprint.
     pub footprint_radius_m: f64,
     /// A cell whose energy is less than this share of the loudest at its range, heard by the same sensor in any direction,

@@ -1,8 +1,8 @@
 //! Where the cells of a sensor's grid lie on the robot's ground plan, and which region or flow line they belong to
 //! (paper 000, section 4.1).
 //!
-//! A cell of a grid with elevations stands for its horizontal projection: the robot cannot fly over or duck under what it
-//! hears. This file knows no energies.
+//! A cell of a grid with elevations stands for its horizontal projection, and for its height where the robot's own is known: what is
+//! below or above it is in no region. This file knows no energies.
 
 use crate::geometry::cartesian_from_polar;
 use crate::geometry::flow_lines::FlowLinesRegion;
@@ -17,6 +17,12 @@ pub fn cell_point_m(grid: &PolarGrid, mount: &Mount, direction_index: usize, ran
     let direction = grid.directions()[direction_index];
     let horizontal_m = grid.range_m(range_index) * direction.elevation_rad.cos();
     mount.pose().parent_from_local(cartesian_from_polar(horizontal_m, direction.azimuth_rad))
+}
+
+/// Height of a cell above the plane of the sensors' origins.
+#[must_use]
+pub fn cell_height_m(grid: &PolarGrid, direction_index: usize, range_index: usize) -> f64 {
+    grid.range_m(range_index) * grid.directions()[direction_index].elevation_rad.sin()
 }
 
 /// +1 left of the robot's x axis and on it, -1 right of it.

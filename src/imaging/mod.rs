@@ -10,6 +10,7 @@ pub mod channels;
 pub mod cpu;
 pub mod direct_path;
 pub mod drill;
+mod equal_area;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod guard;

@@ -69,7 +69,7 @@ pub enum Coherence {
     Sign,
 }
 
-/// Directions of interest: equal steps in the horizontal plane, or a file.
+/// Directions of interest: equal steps in the horizontal plane, equal areas over the front hemisphere, or a file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DirectionsParams {
@@ -82,11 +82,17 @@ pub struct DirectionsParams {
     /// CSV of `azimuth_deg,elevation_deg` rows instead.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
+    /// So many directions of equal solid angle over the front hemisphere instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub equal_area: Option<usize>,
+    /// Of these, only the ones from this elevation to that.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub elevation_deg: Option<[f64; 2]>,
 }
 
 impl Default for DirectionsParams {
     fn default() -> Self {
-        Self { start_deg: -89.5, step_deg: 1.0, count: 180, file: None }
+        Self { start_deg: -89.5, step_deg: 1.0, count: 180, file: None, equal_area: None, elevation_deg: None }
     }
 }
 

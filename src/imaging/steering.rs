@@ -3,6 +3,7 @@
 //! In: `[imaging] directions` or a CSV of them, an array. Out: [`Direction`]s and `[direction][channel]` delays in seconds: a
 //! microphone at p hears a far-field wave from unit direction u earlier than the origin by p.u / c.
 
+use super::equal_area;
 use super::params::DirectionsParams;
 use crate::parameter::{ParameterError, check_range};
 use crate::sensor::MicrophoneArray;
@@ -12,7 +13,25 @@ use nalgebra::Vector3;
 /// Most directions of one grid.
 pub const DIRECTIONS_MAX: usize = 16_384;
 
-/// The equally spaced horizontal directions of `params`; `file` is not looked at.
+/// The directions that `params` describes, a fan or an equal-area grid; `file` is not read.
+///
+/// # Errors
+/// Of [`horizontal_directions`]; what an equal-area grid cannot be; elevations without such a grid; such a grid beside a file.
+pub fn directions(params: &DirectionsParams) -> Result<Vec<Direction>, ParameterError> {
+    let Some(count) = params.equal_area else {
+        return match params.elevation_deg {
+            Some(limits_deg) => Err(ParameterError::new(
+                "directions.elevation_deg",
+                format!("{limits_deg:?}"),
+                "only beside equal_area",
+            )),
+            None => horizontal_directions(params),
+        };
+    };
+    equal_area::directions(params, count)
+}
+
+/// The equally spaced horizontal directions of `params`; nothing else of it is looked at.
 ///
 /// # Errors
 /// If the count is zero or too large, or a bearing lies outside -180 to 180 degrees.
@@ -123,7 +142,7 @@ mod tests {
 
     #[test]
     fn bearings_beyond_half_a_turn_are_refused() {
-        let params = DirectionsParams { start_deg: 0.0, step_deg: 1.0, count: 182, file: None };
+        let params = DirectionsParams { start_deg: 0.0, step_deg: 1.0, count: 182, ..DirectionsParams::default() };
         assert_eq!(horizontal_directions(&params).unwrap_err().key, "directions.count");
         let params = DirectionsParams { start_deg: f64::NAN, ..DirectionsParams::default() };
         assert!(horizontal_directions(&params).is_err());

@@ -1,4 +1,4 @@
-//! The detectors' side of the topics: energyscapes and odometry in, scan, obstacle, objects and ego-motion out.
+//! The detectors' side of the topics: energyscapes and odometry in, scan, obstacle, objects, ego-motion and points out.
 //!
 //! A client of the daemon's own topics like any other: it reads the images where they lie, and nobody waits for it. Opened by the
 //! daemon, in a thread of its own.
@@ -11,6 +11,7 @@ use super::wire::WireType;
 use super::wire::detections::{Objects, Obstacle, Scan};
 use super::wire::message::{EnergyscapeHeader, Odometry};
 use super::wire::motion::EgoMotion;
+use super::wire::points::PointCloud3;
 
 /// Everything that the detectors publish and listen to.
 #[derive(Debug)]
@@ -21,6 +22,7 @@ pub struct DetectorTopics {
     obstacle: FixedPublisher<Obstacle>,
     objects: FixedPublisher<Objects>,
     ego_motion: FixedPublisher<EgoMotion>,
+    points: FixedPublisher<PointCloud3>,
     _registration: Registration,
 }
 
@@ -28,7 +30,7 @@ impl DetectorTopics {
     fn needs(sensors: &[String]) -> Needs {
         let images = sensors.iter().map(|sensor| Topic::energyscape(sensor));
         let needs = images.chain([Topic::odometry()]).fold(Needs::new(), |needs, topic| needs.subscriber(&topic));
-        [Topic::scan(), Topic::obstacle(), Topic::objects(), Topic::ego_motion()]
+        [Topic::scan(), Topic::obstacle(), Topic::objects(), Topic::ego_motion(), Topic::points()]
             .iter()
             .fold(needs, |needs, topic| needs.publisher(topic, 1))
     }
@@ -51,7 +53,7 @@ impl DetectorTopics {
     /// [`IpcError`].
     pub fn open(ipc: &Ipc, sensors: &[String]) -> Result<Self, IpcError> {
         let images: Vec<Topic> = sensors.iter().map(|sensor| Topic::energyscape(sensor)).collect();
-        let (registration, (images, odometry, scan, obstacle, objects, ego_motion)) =
+        let (registration, (images, odometry, scan, obstacle, objects, ego_motion, points)) =
             ipc.set_up("noctule-detectors", Self::needs(sensors), move |session| {
                 let images: Result<Vec<_>, IpcError> =
                     images.iter().map(|topic| session.slice_subscriber(topic)).collect();
@@ -62,9 +64,10 @@ impl DetectorTopics {
                     session.publisher(&Topic::obstacle())?,
                     session.publisher(&Topic::objects())?,
                     session.publisher(&Topic::ego_motion())?,
+                    session.publisher(&Topic::points())?,
                 ))
             })?;
-        Ok(Self { images, odometry, scan, obstacle, objects, ego_motion, _registration: registration })
+        Ok(Self { images, odometry, scan, obstacle, objects, ego_motion, points, _registration: registration })
     }
 
     /// Shows the newest energyscape of a sensor since the last call, in shared memory; `None` without one, for a sensor that is not
@@ -111,5 +114,13 @@ impl DetectorTopics {
     /// [`IpcError::Send`].
     pub fn publish_ego_motion(&self, ego_motion: &EgoMotion) -> Result<(), IpcError> {
         self.ego_motion.send(*ego_motion)
+    }
+
+    /// Publishes the points in space.
+    ///
+    /// # Errors
+    /// [`IpcError::Send`].
+    pub fn publish_points(&self, points: &PointCloud3) -> Result<(), IpcError> {
+        self.points.send(*points)
     }
 }

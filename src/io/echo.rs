@@ -11,6 +11,7 @@ use super::topics::{self, Topic};
 use super::wire::detections::{Objects, Obstacle, Scan};
 use super::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, RawHeader, VelocityCommand, VelocityInput};
 use super::wire::motion::EgoMotion;
+use super::wire::points::PointCloud3;
 use super::wire::telemetry::{Cues, Health, PlatformVelocity};
 use super::wire::{Primitive, WireType, fields_json};
 use crate::parameter::did_you_mean;
@@ -157,6 +158,7 @@ fn listen(session: &Session, topic: &Topic) -> Result<Box<dyn Listen>, IpcError>
         topics::OBSTACLE => fixed::<Obstacle>(session, topic),
         topics::OBJECTS => fixed::<Objects>(session, topic),
         topics::EGO_MOTION => fixed::<EgoMotion>(session, topic),
+        topics::POINTS => fixed::<PointCloud3>(session, topic),
         name if name.ends_with("/energyscape") => {
             Ok(Box::new(session.slice_subscriber::<f32, EnergyscapeHeader>(topic)?))
         }

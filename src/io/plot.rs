@@ -1,5 +1,5 @@
 //! The figures of paper 000, drawn from our own drives and configurations; curves of measured times ([`curves()`]); and what one
-//! ping was made of ([`heard()`], [`rectangular()`]); how a robot moved by its echoes ([`motion_panels()`]); and what a detector knows of its surroundings ([`grid_map()`]).
+//! ping was made of ([`heard()`], [`rectangular()`]); what stands where in space ([`space_panels()`]); how a robot moved by its echoes ([`motion_panels()`]); and what a detector knows of its surroundings ([`grid_map()`]).
 //!
 //! | figure | function | what goes in |
 //! |---|---|---|
@@ -25,6 +25,7 @@ mod motion;
 mod regions;
 mod robot;
 mod signals;
+mod space;
 mod trajectories;
 mod world;
 
@@ -38,6 +39,7 @@ pub use motion::{PlottedMotion, PlottedMover, motion_panels};
 pub use regions::{PlottedRegions, masks_together, regions};
 pub use robot::PlottedRobot;
 pub use signals::{HeardPing, heard, rectangular};
+pub use space::{PlottedSpace, PlottedSpacePoint, space_panels};
 pub use trajectories::{PathsOptions, paths, paths_by_layout};
 
 use crate::signal::LayerName;

@@ -1,7 +1,6 @@
 //! Every topic: its name, what lies on it, who may be how many, and how deep it queues. The one place that names topics.
 //!
-//! Out of the same table come the services that are opened ([`super::node`]), `noctule topics` and the memory needed.
-//! Opens nothing itself.
+//! Out of the same table come the services that are opened ([`super::node`]), `noctule topics` and the memory needed. Opens nothing.
 
 use super::params::IpcParams;
 use super::wire::detections::{Objects, Obstacle, Scan};
@@ -35,6 +34,8 @@ pub const OBSTACLE: &str = "noctule/obstacle";
 pub const OBJECTS: &str = "noctule/objects";
 /// How the robot moves by its echoes, and what moves beside it.
 pub const EGO_MOTION: &str = "noctule/ego_motion";
+/// The points in space that the echoes came from.
+pub const POINTS: &str = "noctule/points";
 /// How the daemon is.
 pub const HEALTH: &str = "noctule/health";
 /// Attribute of every service: the schema hash of its payload, or of its header where it has one, in 16 hex digits.
@@ -47,7 +48,7 @@ const RELAYED: &str = "noctule/relay/";
 const NODES_MAX: usize = 32;
 /// And one of a copy for other machines: the transport's default there.
 const RELAYED_NODES_MAX: usize = 20;
-/// Size of the transport's own header of a sample, with room for its growth within a cache line.
+/// Size of the transport's own header of a sample, with room for its growth.
 const TRANSPORT_HEADER_BYTES: usize = 64;
 /// Management data of a publisher's memory, and of its connections, per sample of its pool.
 const POOL_ENTRY_BYTES: usize = 64;
@@ -246,6 +247,12 @@ impl Topic {
         Self::fixed::<EgoMotion>(EGO_MOTION, NEWEST, "daemon to anybody")
     }
 
+    /// `noctule/points`.
+    #[must_use]
+    pub fn points() -> Self {
+        Self::fixed::<super::wire::points::PointCloud3>(POINTS, NEWEST, "daemon to anybody")
+    }
+
     /// `noctule/health`.
     #[must_use]
     pub fn health() -> Self {
@@ -297,6 +304,7 @@ impl Topic {
             Topic::obstacle(),
             Topic::objects(),
             Topic::ego_motion(),
+            Topic::points(),
             Topic::health(),
         ]);
         topics
@@ -454,7 +462,7 @@ mod tests {
         let names: Vec<String> =
             Topic::all(&sensors(), SampleFormat::PcmI16).into_iter().map(|topic| topic.name).collect();
         let expected = "sonar/front/pcm sonar/left/pcm sonar/front/energyscape sonar/left/energyscape cues command input operator \
-                        odometry platform scan obstacle objects ego_motion health";
+                        odometry platform scan obstacle objects ego_motion points health";
         let expected: Vec<String> = expected.split(' ').map(|leaf| format!("noctule/{leaf}")).collect();
         assert_eq!(names, expected);
         assert_eq!(raw("x", SampleFormat::Pdm), "noctule/sonar/x/pdm");

@@ -8,6 +8,7 @@
 pub mod detections;
 pub mod message;
 pub mod motion;
+pub mod points;
 pub mod telemetry;
 
 use iceoryx2::prelude::{MessagingPattern, Node, ServiceName, ipc_threadsafe};

@@ -1,6 +1,7 @@
-//! The detecting thread: from the daemon's own energyscapes to scan, obstacle, objects and ego-motion.
+//! The detecting thread: from the daemon's own energyscapes to scan, obstacle, objects, ego-motion and,
+//! on a grid with elevations, points in space.
 //!
-//! Goes in: what the daemon publishes, read where it lies in shared memory like any other reader, and odometry. Comes out: four
+//! Goes in: what the daemon publishes, read where it lies in shared memory like any other reader, and odometry. Comes out: their
 //! topics, and notes for a recording. The deciding thread knows nothing of it: it never waits for it, and if it hangs nothing else
 //! does. Runs at the priority of ordinary threads.
 
@@ -9,14 +10,15 @@ use super::wiring::SensingSetup;
 use super::{detections, scanning};
 use crate::config::Config;
 use crate::detect::ego_tracks::arc;
-use crate::detect::{EgoMotion, ProjectionDetector, RingDetector, ScanFuser};
+use crate::detect::{EgoMotion, ProjectionDetector, RingDetector, ScanFuser, SpaceDetector};
 use crate::geometry::Pose2;
 use crate::io::record::{Note, NoteTap};
 use crate::io::wire::detections::{Objects, Obstacle, Scan};
 use crate::io::wire::message::FLAG_NO_WITNESS;
 use crate::io::wire::motion;
+use crate::io::wire::points::PointCloud3;
 use crate::io::{DetectorTopics, InputPublisher, Ipc, IpcError};
-use crate::signal::{RobotScan, Velocity};
+use crate::signal::{PointCloud, RobotScan, Velocity};
 use crate::time::{Clock, Stamp, SystemClock};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -89,6 +91,8 @@ struct Detectors {
     projection: ProjectionDetector,
     ring: RingDetector,
     ego_motion: Box<EgoMotion>,
+    /// With what it makes; `None` on a level grid.
+    space: Option<Box<(SpaceDetector, PointCloud, PointCloud3)>>,
     twist: Velocity,
     pose: Option<(Pose2, Stamp)>,
     pose_max_age_ns: u64,
@@ -109,6 +113,8 @@ impl Detectors {
             projection: ProjectionDetector::new(&config.detect.projection),
             ring: RingDetector::new(&config.detect.ring),
             ego_motion: Box::new(scanning::estimator(config, setup)),
+            space: scanning::space(config, setup)
+                .map(|detector| Box::new((detector, PointCloud::empty(), PointCloud3::blank()))),
             twist: Velocity::ZERO,
             pose: None,
             pose_max_age_ns: config.safety.input_max_age_ns(),
@@ -141,13 +147,16 @@ impl Detectors {
     fn listen(&mut self) -> bool {
         let mut heard = false;
         for sensor in 0..self.sensor_count {
-            let (fuser, ego_motion) = (&mut self.fuser, &mut self.ego_motion);
+            let (fuser, ego_motion, space) = (&mut self.fuser, &mut self.ego_motion, &mut self.space);
             let read = self.topics.energyscape(sensor, |header, cells| {
                 let emitted_at = Stamp { boottime_ns: header.t_monotonic_ns, wall_ns: header.t_wall_ns };
                 // A silent world is never a free one: what such a sensor alone sees is unseen.
                 if header.flags & FLAG_NO_WITNESS == 0 {
                     fuser.hear(sensor, header.sequence, emitted_at, cells);
                     ego_motion.hear(sensor, cells);
+                    if let Some(space) = space {
+                        space.0.hear(sensor, header.sequence, emitted_at, cells);
+                    }
                 } else {
                     fuser.pass(header.sequence, emitted_at);
                 }
@@ -188,11 +197,25 @@ impl Detectors {
             .and_then(|()| self.topics.publish_objects(objects))
             .and_then(|()| self.topics.publish_ego_motion(motion));
         self.complain(sent);
+        self.publish_points(now);
         if let (Some(planner), Some(projected)) = (&mut self.planner, projected) {
             let wished = planner.want(projected.wish, now);
             self.complain(wished);
         }
         self.record(now);
+    }
+
+    /// Makes and publishes the points of the ping set, where the grid has elevations.
+    fn publish_points(&mut self, now: Stamp) {
+        let Some(space) = &mut self.space else { return };
+        let (detector, cloud, wire) = &mut **space;
+        detector.update(cloud);
+        wire.fill(cloud, now.boottime_ns);
+        if let Some(notes) = &self.notes {
+            notes.note(now, Note::Points(Box::new(*wire)));
+        }
+        let sent = self.topics.publish_points(wire);
+        self.complain(sent);
     }
 
     fn complain(&mut self, sent: Result<(), IpcError>) {

@@ -30,6 +30,7 @@ pub mod replay;
 pub mod ring_scenes;
 pub mod scanning;
 pub mod soak;
+pub mod space_trials;
 pub mod supervisor;
 pub mod sweep;
 pub mod tape;

@@ -29,6 +29,7 @@ pub fn mask_params(control: &ControlParams, platform: &PlatformLimits) -> MaskPa
         },
         noise_floor: NoiseFloor::configured(control.energy.noise_floor_dbfs.clone()),
         side_lobe_share: control.energy.side_lobe_share(),
+        z_m: platform.z_m,
         footprint_radius_m: platform.radius_m,
         collision_threshold: control.collision_avoidance.threshold,
         blind_gap_m: control.coverage.blind_gap_m,

@@ -7,7 +7,7 @@ use super::trial::{TrialRig, open_imager};
 use super::wiring::SensingSetup;
 use super::{ServiceError, regions};
 use crate::config::Config;
-use crate::detect::{EgoMotion, EgoPlatform, ScanFuser};
+use crate::detect::{EgoMotion, EgoPlatform, ScanFuser, SpaceDetector};
 use crate::imaging::Imager;
 use crate::imaging::backend::BackendError;
 use crate::imaging::params::Prefer;
@@ -41,6 +41,15 @@ pub fn estimator(config: &Config, setup: &SensingSetup) -> EgoMotion {
     let floor = |range_m| params.noise_floor.at(range_m);
     let hidden = setup.hidden_directions();
     EgoMotion::new(&setup.plan.grid, &setup.sensors, &hidden, floor, params.side_lobe_share, platform)
+}
+
+/// The detector of points in space of a robot, as the daemon makes it; `None` where the grid is level.
+#[must_use]
+pub fn space(config: &Config, setup: &SensingSetup) -> Option<SpaceDetector> {
+    let params = regions::mask_params(&config.control, &config.platform);
+    let floor = |range_m| params.noise_floor.at(range_m);
+    let hidden = setup.hidden_directions();
+    SpaceDetector::new(&setup.plan.grid, &setup.sensors, &hidden, floor, params.side_lobe_share, config.platform.z_m)
 }
 
 impl Scanning {

@@ -7,6 +7,7 @@
 //! | [`Energyscape`] on a [`PolarGrid`] | `imaging` | `flow`, `detect`, anybody | `noctule/sonar/<name>/energyscape` |
 //! | [`RangeScan`] | `detect` | anybody | none (recordings carry it) |
 //! | [`RobotScan`] | `detect` | anybody | `noctule/scan` |
+//! | [`PointCloud`] | `detect` | anybody | `noctule/points` |
 //! | [`EgoMotionReport`] with [`Movers`] | `detect` | `control` (the movers), anybody | `noctule/ego_motion` |
 //! | [`Mask`], [`MaskTable`] | `flow`, once | `imaging` | none (`noctule masks` writes them) |
 //! | [`RowSums`] | `imaging` | `flow` | none |
@@ -19,6 +20,7 @@ mod ego_motion;
 mod energyscape;
 mod mask;
 mod ping;
+mod point_cloud;
 mod range_scan;
 mod robot_scan;
 mod status;
@@ -29,6 +31,7 @@ pub use ego_motion::{EgoMotionReport, MOVERS_MAX, Mover, Movers};
 pub use energyscape::{Direction, Energyscape, PolarGrid};
 pub use mask::{Mask, MaskPurpose, MaskRow, MaskTable, NO_CELL, RowSums};
 pub use ping::{PingSet, RawPing, SENSORS_MAX, SampleFormat, Samples};
+pub use point_cloud::{POINTS_MAX, PointCloud, SLICE_BEARINGS, SpaceClass, SpacePoint};
 pub use range_scan::{RangeScan, Reading};
 pub use robot_scan::{PEAKS_MAX, Peak, RAYS, Ray, RobotScan};
 pub use status::{DaemonState, GateState, Reason};

@@ -18,12 +18,14 @@ mod obstacles;
 mod params;
 mod robot;
 mod score;
+mod solids;
 mod world;
 
 pub use faults::{Fault, Faults};
 pub use params::{Air, Bursts, JAMMERS_MAX, Jammer, MotionLimits, RobotParams, SimError, SimParams, Turns};
 pub use robot::Odometry;
 pub use score::{RunScore, Stay};
+pub use solids::{Ball, Bar};
 pub use world::{Mover, Outline, PathLoop, Pillar, Start, Wall, WantedVelocity, World};
 
 use crate::geometry::shape::Shape;

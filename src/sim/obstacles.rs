@@ -3,6 +3,7 @@
 //! Walls of a world file may cross, touch and overlap as they like; they are cut where they meet, so that every corner
 //! knows all faces around it. This file computes no sound; plane geometry only.
 
+use super::solids::Solids;
 use super::world::World;
 use nalgebra::Vector2;
 
@@ -80,6 +81,7 @@ pub(super) struct Obstacles {
     /// Pillars first, then movers.
     pub(super) circles: Vec<Circle>,
     pillar_count: usize,
+    pub(super) solids: Solids,
 }
 
 impl Obstacles {
@@ -103,7 +105,13 @@ impl Obstacles {
             |centre_m: Vector2<f64>, radius_m: f64| Circle { centre_m, radius_m, velocity_m_s: Vector2::zeros() };
         let pillars = world.pillars.iter().map(|pillar| circle(Vector2::from(pillar.centre), pillar.radius_m));
         let movers = world.movers.iter().map(|mover| circle(mover.position_m(0.0), mover.radius_m));
-        Self { segments, corners, circles: pillars.chain(movers).collect(), pillar_count: world.pillars.len() }
+        let solids = Solids {
+            floor_m: world.floor_m,
+            ceiling_m: world.ceiling_m,
+            balls: world.balls.clone(),
+            bars: world.bars.clone(),
+        };
+        Self { segments, corners, circles: pillars.chain(movers).collect(), pillar_count: world.pillars.len(), solids }
     }
 
     /// The movers, where they are now.

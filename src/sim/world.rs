@@ -1,8 +1,9 @@
 //! World files (specification, section 8): TOML in, a checked [`World`] out.
 //!
-//! A world is plane and vertical: everything in it stands upright from the floor past the sensors. This file says what
-//! stands where and what counts as a success; it computes no echo and moves nothing.
+//! A world is plane and vertical: everything in it stands upright from the floor past the sensors, but for the floor, the ceiling,
+//! balls and bars of [`super::solids`]. This file says what stands where and what counts as a success; it computes no echo and moves nothing.
 
+use super::solids::{Ball, Bar, check_levels};
 use crate::document::{self, DocumentError};
 use crate::parameter::{ParameterError, check_positive, check_range};
 use nalgebra::Vector2;
@@ -40,6 +41,18 @@ pub struct World {
     /// Round obstacles that move.
     #[serde(rename = "mover")]
     pub movers: Vec<Mover>,
+    /// Height of a smooth floor, negative, above the sensors' origins; without it there is none to be heard.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub floor_m: Option<f64>,
+    /// Height of a smooth ceiling.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ceiling_m: Option<f64>,
+    /// Balls, at any height.
+    #[serde(rename = "ball", skip_serializing_if = "Vec::is_empty")]
+    pub balls: Vec<Ball>,
+    /// Bars, at any height and of any slope.
+    #[serde(rename = "bar", skip_serializing_if = "Vec::is_empty")]
+    pub bars: Vec<Bar>,
     /// Where the robot starts.
     pub start: Start,
 }
@@ -163,6 +176,10 @@ impl Default for World {
             walls: Vec::new(),
             pillars: Vec::new(),
             movers: Vec::new(),
+            floor_m: None,
+            ceiling_m: None,
+            balls: Vec::new(),
+            bars: Vec::new(),
             start: Start::default(),
         }
     }
@@ -237,10 +254,17 @@ impl World {
         for (index, mover) in self.movers.iter().enumerate() {
             mover.validate().map_err(|error| error.within(&format!("mover[{index}]")))?;
         }
+        check_levels(self.floor_m, self.ceiling_m)?;
+        for (index, ball) in self.balls.iter().enumerate() {
+            ball.validate().map_err(|error| error.within(&format!("ball[{index}]")))?;
+        }
+        for (index, bar) in self.bars.iter().enumerate() {
+            bar.validate().map_err(|error| error.within(&format!("bar[{index}]")))?;
+        }
         self.start.validate().map_err(|error| error.within("start"))
     }
 
-    /// Everything that stands in the world at `time_s`, for drawing.
+    /// Everything that stands in the world at `time_s`, for drawing: seen from above, floor and ceiling left out.
     pub fn outline(&self, time_s: f64) -> impl Iterator<Item = Outline> + '_ {
         let walls =
             self.walls.iter().flat_map(|wall| wall.pieces().map(|(from_m, to_m)| Outline::Segment { from_m, to_m }));
@@ -254,7 +278,16 @@ impl World {
             radius_m: mover.radius_m,
             moving: true,
         });
-        walls.chain(pillars).chain(movers)
+        let balls = self.balls.iter().map(|ball| Outline::Circle {
+            centre_m: Vector2::new(ball.centre[0], ball.centre[1]),
+            radius_m: ball.radius_m,
+            moving: false,
+        });
+        let bars = self.bars.iter().map(|bar| Outline::Segment {
+            from_m: Vector2::new(bar.from[0], bar.from[1]),
+            to_m: Vector2::new(bar.to[0], bar.to[1]),
+        });
+        walls.chain(pillars).chain(movers).chain(balls).chain(bars)
     }
 }
 

@@ -1,6 +1,6 @@
 //! `noctule detect` as it may be typed.
 
-use super::{ConfigChoice, MotionArguments, ScenesArguments, SeriesArguments};
+use super::{ConfigChoice, MotionArguments, ScenesArguments, SeriesArguments, SpaceArguments};
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
 
@@ -54,6 +54,8 @@ Examples:
     Scenes(ScenesArguments),
     /// Drive simulated robots and tell their motion by echoes alone, slips of the wheels and movers, against the truth.
     Motion(MotionArguments),
+    /// Tell floor, ceiling, obstacles and what hangs over in simulated rooms, on equal-area grids, against the truth.
+    Space(SpaceArguments),
 }
 
 /// `detect projection`, `detect ring`.

@@ -13,6 +13,7 @@
 //! | `/noctule/obstacle` | noctule_msgs/Obstacle |
 //! | `/noctule/objects`, `/noctule/map` | noctule_msgs/Objects, nav_msgs/OccupancyGrid |
 //! | `/noctule/ego_motion` | noctule_msgs/EgoMotion |
+//! | `/noctule/points`, `/noctule/point_cloud` | noctule_msgs/PointCloud3, sensor_msgs/PointCloud2 |
 //! | `/noctule/pipeline` | noctule_msgs/PipelineStep: what a replay repeats |
 //! | `/diagnostics`, `/tf`, `/tf_static` | diagnostic_msgs/DiagnosticArray, tf2_msgs/TFMessage |
 //!
@@ -137,7 +138,9 @@ impl Scribe {
                 let diagnostics = ros::health_diagnostics(health);
                 self.put(ros::DIAGNOSTICS_TOPIC, health.ping_set_count, now, health.t_wall_ns, &diagnostics)?;
             }
-            Note::Scan(_) | Note::Obstacle(_) | Note::Objects(_) | Note::EgoMotion(_) => self.detection(now, note)?,
+            Note::Scan(_) | Note::Obstacle(_) | Note::Objects(_) | Note::EgoMotion(_) | Note::Points(_) => {
+                self.detection(now, note)?;
+            }
         }
         self.next_part(now)
     }
@@ -161,6 +164,11 @@ impl Scribe {
             Note::EgoMotion(motion) => {
                 let (sequence, at) = (motion.sequence, motion.t_wall_ns);
                 self.wire("/noctule/ego_motion", ros::BASE_FRAME, sequence, now, at, &**motion)
+            }
+            Note::Points(points) => {
+                let (sequence, at) = (points.sequence, points.t_wall_ns);
+                self.wire("/noctule/points", ros::BASE_FRAME, sequence, now, at, &**points)?;
+                self.put(ros::POINT_CLOUD_TOPIC, sequence, now, at, &ros::point_cloud(points))
             }
             _ => Ok(()),
         }

@@ -9,6 +9,7 @@ use crate::io::ros::PipelineStep;
 use crate::io::wire::detections::{Objects, Obstacle, Scan};
 use crate::io::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, VelocityCommand, VelocityInput};
 use crate::io::wire::motion::EgoMotion;
+use crate::io::wire::points::PointCloud3;
 use crate::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use crate::signal::{Energyscape, PingSet, SENSORS_MAX, Samples};
 use crate::time::Stamp;
@@ -49,6 +50,8 @@ pub enum Note {
     Objects(Box<Objects>),
     /// How the robot and what is around it move.
     EgoMotion(Box<EgoMotion>),
+    /// Points in space.
+    Points(Box<PointCloud3>),
 }
 
 /// A ping set with what was made of it; whatever is absent is not written.

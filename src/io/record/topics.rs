@@ -14,6 +14,7 @@ use crate::io::wire::WireType;
 use crate::io::wire::detections::{Objects, Obstacle, Scan};
 use crate::io::wire::message::{EnergyscapeHeader, Odometry, OperatorRequest, VelocityCommand, VelocityInput};
 use crate::io::wire::motion::EgoMotion;
+use crate::io::wire::points::PointCloud3;
 use crate::io::wire::telemetry::{Cues, Health, PlatformVelocity};
 use crate::signal::{PingSet, SENSORS_MAX};
 use crate::time::Stamp;
@@ -32,6 +33,7 @@ pub struct RecordTopics {
     obstacle: FixedSubscriber<Obstacle>,
     objects: FixedSubscriber<Objects>,
     ego_motion: FixedSubscriber<EgoMotion>,
+    points: FixedSubscriber<PointCloud3>,
     raw: Option<LiveTopics>,
     pings: PingSet,
     refused: u64,
@@ -58,6 +60,7 @@ impl RecordTopics {
             Topic::obstacle(),
             Topic::objects(),
             Topic::ego_motion(),
+            Topic::points(),
         ];
         let needs = images.iter().chain(&small).fold(Needs::new(), Needs::subscriber);
         let raw = if raw { Some(LiveTopics::open(ipc, sensors)?) } else { None };
@@ -76,6 +79,7 @@ impl RecordTopics {
                 session.subscriber(&Topic::obstacle())?,
                 session.subscriber(&Topic::objects())?,
                 session.subscriber(&Topic::ego_motion())?,
+                session.subscriber(&Topic::points())?,
             ))
         })?;
         Ok(Self {
@@ -91,6 +95,7 @@ impl RecordTopics {
             obstacle: topics.9,
             objects: topics.10,
             ego_motion: topics.11,
+            points: topics.12,
             raw,
             pings,
             refused: 0,
@@ -138,6 +143,7 @@ impl RecordTopics {
         notes(&self.obstacle, now, tap, |obstacle| Note::Obstacle(Box::new(obstacle)));
         notes(&self.objects, now, tap, |objects| Note::Objects(Box::new(objects)));
         notes(&self.ego_motion, now, tap, |motion| Note::EgoMotion(Box::new(motion)));
+        notes(&self.points, now, tap, |points| Note::Points(Box::new(points)));
     }
 }
 

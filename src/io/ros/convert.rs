@@ -4,14 +4,16 @@
 //! equally spaced in the horizontal plane has no laser scan. Loses nothing that replay needs: that goes as it is.
 
 use super::standard::{
-    DiagnosticArray, DiagnosticStatus, Header, Image, KeyValue, LaserScan, MapMetaData, OccupancyGrid, Octets, Pose,
-    Quaternion, TFMessage, Time, Transform, TransformStamped, Twist, TwistStamped, Vector3,
+    DiagnosticArray, DiagnosticStatus, Header, Image, KeyValue, LaserScan, MapMetaData, OccupancyGrid, Octets,
+    PointCloud2, PointField, Pose, Quaternion, TFMessage, Time, Transform, TransformStamped, Twist, TwistStamped,
+    Vector3,
 };
 use super::{BASE_FRAME, ODOMETRY_FRAME, sensor_frame};
 use crate::geometry::Pose2;
 use crate::io::wire::detections::{MAP_CELLS, Objects, Scan};
 use crate::io::wire::fields_json;
 use crate::io::wire::message::{Odometry, VelocityCommand};
+use crate::io::wire::points::PointCloud3;
 use crate::io::wire::telemetry::{Health, PlatformVelocity};
 use crate::io::wire::{WireType, message::EnergyscapeHeader, message::FLAG_EQUAL_DIRECTIONS};
 use crate::sensor::SensorSetup;
@@ -74,6 +76,35 @@ pub fn robot_laser_scan(scan: &Scan, period_s: f64) -> LaserScan {
         range_max: scan.range_max_m as f32,
         ranges: scan.range_m.to_vec(),
         intensities: scan.amplitude.to_vec(),
+    }
+}
+
+/// The points in space as sensor_msgs/PointCloud2: x, y, z, intensity, and the class as a number.
+#[must_use]
+pub fn point_cloud(points: &PointCloud3) -> PointCloud2 {
+    const FIELDS: [(&str, u8); 5] = [("x", 7), ("y", 7), ("z", 7), ("intensity", 7), ("class", 6)];
+    let field = |(index, (name, datatype)): (usize, (&str, u8))| PointField {
+        name: name.to_owned(),
+        offset: 4 * index as u32,
+        datatype,
+        count: 1,
+    };
+    let count = (points.point_count as usize).min(points.x_m.len());
+    let point_step = 4 * FIELDS.len() as u32;
+    let bytes = |index: usize| {
+        let place = [points.x_m[index], points.y_m[index], points.z_m[index], points.energy[index]];
+        place.into_iter().map(f32::to_le_bytes).chain([points.class[index].to_le_bytes()]).flatten()
+    };
+    PointCloud2 {
+        header: Header::new(points.t_wall_ns, BASE_FRAME),
+        height: 1,
+        width: count as u32,
+        fields: FIELDS.into_iter().enumerate().map(field).collect(),
+        is_bigendian: false,
+        point_step,
+        row_step: point_step * count as u32,
+        data: (0..count).flat_map(bytes).collect(),
+        is_dense: true,
     }
 }
 

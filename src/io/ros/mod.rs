@@ -12,11 +12,12 @@ mod wire_message;
 
 pub use convert::{
     command_twist, energyscape_image, health_diagnostics, laser_scan, mount_transforms, objects_frame, occupancy_grid,
-    odometry_transform, platform_diagnostics, platform_twist, robot_laser_scan,
+    odometry_transform, platform_diagnostics, platform_twist, point_cloud, robot_laser_scan,
 };
 pub use standard::{
-    DiagnosticArray, DiagnosticStatus, Header, Image, KeyValue, LaserScan, MapMetaData, OccupancyGrid, Octets, Pose,
-    Quaternion, TFMessage, Time, Transform, TransformStamped, Twist, TwistStamped, Vector3,
+    DiagnosticArray, DiagnosticStatus, Header, Image, KeyValue, LaserScan, MapMetaData, OccupancyGrid, Octets,
+    PointCloud2, PointField, Pose, Quaternion, TFMessage, Time, Transform, TransformStamped, Twist, TwistStamped,
+    Vector3,
 };
 pub use step::{PipelineStep, StepKind};
 pub use wire_message::{RawPingMessage, WireMessage};
@@ -41,6 +42,8 @@ pub const COMMAND_TWIST_TOPIC: &str = "/noctule/cmd_vel";
 pub const PLATFORM_TWIST_TOPIC: &str = "/noctule/platform_vel";
 /// Topic of the scan of the whole robot as ROS knows scans.
 pub const LASER_SCAN_TOPIC: &str = "/noctule/laser_scan";
+/// Topic of the points in space as ROS knows clouds.
+pub const POINT_CLOUD_TOPIC: &str = "/noctule/point_cloud";
 /// Topic of the occupancy map as ROS knows maps.
 pub const MAP_TOPIC: &str = "/noctule/map";
 /// Topic of diagnostics.

@@ -178,6 +178,53 @@ message!(
     )
 );
 
+/// sensor_msgs/PointField.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct PointField {
+    /// Name.
+    pub name: String,
+    /// Bytes from the beginning of the point.
+    pub offset: u32,
+    /// 6: uint32, 7: float32.
+    pub datatype: u8,
+    /// Number of elements.
+    pub count: u32,
+}
+
+/// sensor_msgs/PointCloud2.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct PointCloud2 {
+    /// Emission time, frame of the robot.
+    pub header: Header,
+    /// 1: the points have no order.
+    pub height: u32,
+    /// Number of points.
+    pub width: u32,
+    /// What a point is made of.
+    pub fields: Vec<PointField>,
+    /// False.
+    pub is_bigendian: bool,
+    /// Bytes of a point.
+    pub point_step: u32,
+    /// Bytes of all.
+    pub row_step: u32,
+    /// The points.
+    pub data: Vec<u8>,
+    /// True: no point is without a place.
+    pub is_dense: bool,
+}
+message!(
+    PointCloud2,
+    "sensor_msgs/msg/PointCloud2",
+    concat!(
+        "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n",
+        "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n",
+        rule!(),
+        "MSG: sensor_msgs/PointField\nstring name\nuint32 offset\nuint8 datatype\nuint32 count\n",
+        header_definition!()
+    )
+);
+
 /// geometry_msgs/Vector3.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Vector3 {

@@ -109,3 +109,22 @@ fn scans_run_right_to_left_and_tell_nothing_heard_from_not_known() {
     let scan = RangeScan::unseen(Arc::new(PolarGrid::new(uneven, 0.3, 0.005, 10)), 0);
     assert_eq!(laser_scan(&scan, "front", 0.1), None);
 }
+
+#[test]
+fn a_point_cloud_has_twenty_bytes_a_point_in_the_order_of_its_fields() {
+    let mut points = crate::io::wire::points::PointCloud3 { point_count: 2, ..Default::default() };
+    (points.x_m[1], points.y_m[1], points.z_m[1], points.energy[1], points.class[1]) = (1.5, -2.0, 0.25, 0.125, 3);
+    let cloud = super::point_cloud(&points);
+    assert_eq!((cloud.width, cloud.height, cloud.point_step, cloud.row_step, cloud.data.len()), (2, 1, 20, 40, 40));
+    let number = |index: usize| f32::from_le_bytes(cloud.data[20 + 4 * index..][..4].try_into().expect("four"));
+    assert_eq!([number(0), number(1), number(2), number(3)], [1.5, -2.0, 0.25, 0.125]);
+    assert_eq!(cloud.data[36..], [3, 0, 0, 0]);
+    let names: Vec<&str> = cloud.fields.iter().map(|field| field.name.as_str()).collect();
+    assert_eq!(names, ["x", "y", "z", "intensity", "class"]);
+    // What a reader of the stated layout makes of the bytes.
+    let mut bytes = Vec::new();
+    super::encode_into(&cloud, &mut bytes).expect("written");
+    assert_eq!(super::decode::<super::PointCloud2>(&bytes).expect("read"), cloud);
+    points.point_count = 9999;
+    assert_eq!(super::point_cloud(&points).width, 192, "no count of a stranger reaches beyond the arrays");
+}

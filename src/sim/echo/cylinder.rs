@@ -14,7 +14,7 @@ use nalgebra::Vector2;
 pub(super) struct Bounce {
     pub(super) point_m: Vector2<f64>,
     pub(super) in_m: f64,
-    out_m: f64,
+    pub(super) out_m: f64,
     pub(super) cos_incidence: f64,
 }
 

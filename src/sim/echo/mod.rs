@@ -20,6 +20,8 @@ mod noise;
 mod path;
 mod pdm;
 mod sight;
+mod solid;
+mod space;
 mod waveform;
 
 use super::obstacles::Obstacles;

@@ -3,7 +3,7 @@
 //! Whether a path exists, what hides it and its colour are decided once, for the middle of the array; its length and
 //! spreading are exact for every microphone. The world being vertical, a path is plane but for the difference in
 //! height: its length is the hypotenuse of the plane length and that difference, also over edges and cylinders.
-//! Planes are mirror images; edges are [`super::edge`], cylinders [`super::cylinder`]. Multipath of first order is what comes
+//! Planes are mirror images; edges are [`super::edge`], cylinders [`super::cylinder`], what is not upright [`super::space`]. Multipath of first order is what comes
 //! over two walls, or over a wall and a cylinder in either order: mirror images again. This file makes no samples.
 
 use super::air::absorption_np_m;
@@ -11,6 +11,7 @@ use super::cylinder::Bounce;
 use super::directivity::{piston, view};
 use super::edge;
 use super::sight::Sight;
+use super::solid::Solid;
 use super::waveform::{NODES, Response, WaveformTable};
 use crate::geometry::{Pose2, wrap_angle_rad};
 use crate::sim::obstacles::{Circle, Corner, Segment, cross};
@@ -78,11 +79,11 @@ impl Station {
 /// What of an emission and of the air paths need to know, at the nodes of its waveform table.
 #[derive(Debug, Clone)]
 pub(super) struct Medium {
-    wave_numbers_rad_m: [f64; NODES],
-    absorptions_np_m: [f64; NODES],
+    pub(super) wave_numbers_rad_m: [f64; NODES],
+    pub(super) absorptions_np_m: [f64; NODES],
     speed_of_sound_m_s: f64,
     /// Amplitude at 1 m, so that a plane at 1 m reads what the parameters say.
-    source: f64,
+    pub(super) source: f64,
 }
 
 impl Medium {
@@ -102,13 +103,15 @@ impl Medium {
 
 /// Form of a path, for its length and spreading to one microphone.
 #[derive(Debug, Clone, Copy)]
-enum Shape {
+pub(super) enum Shape {
     /// Straight from an emitter or its mirror image.
     Image(Vector2<f64>),
     /// Over an edge.
     Edge { at_m: Vector2<f64>, from_emitter_m: f64 },
     /// Off a cylinder.
     Cylinder { circle: Circle, emitter_m: Vector2<f64> },
+    /// Off a ball or a bar.
+    Solid(Solid),
 }
 
 /// A path that may be.
@@ -125,8 +128,9 @@ struct Way {
 /// A path from one emitter to one sensor.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Path {
-    shape: Shape,
-    emitter_height_m: f64,
+    pub(super) shape: Shape,
+    /// Height of the emitter, or of its image under the floor or above the ceiling.
+    pub(super) emitter_height_m: f64,
     /// Everything but spreading, at the middle of the array.
     pub(super) response: Response,
 }
@@ -149,6 +153,7 @@ impl Path {
                 let bounce = Bounce::new(&circle, emitter_m, microphone_m);
                 (bounce.length_m().hypot(rise_m), bounce.spreading(circle.radius_m))
             }
+            Shape::Solid(solid) => solid.at(Vector3::new(microphone_m.x, microphone_m.y, height_m)),
         }
     }
 }
@@ -172,7 +177,7 @@ impl Finder<'_> {
         self.station(self.receiver).ear_m
     }
 
-    fn station(&self, sensor: usize) -> &Station {
+    pub(super) fn station(&self, sensor: usize) -> &Station {
         &self.sight.stations[sensor]
     }
 
@@ -188,6 +193,7 @@ impl Finder<'_> {
         for corner in &self.sight.obstacles.corners {
             self.corner(corner, paths);
         }
+        self.solids(paths);
         if self.params.multipath {
             self.multipath(paths);
         }
