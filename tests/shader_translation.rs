@@ -26,7 +26,8 @@ fn validated(text: &str) -> Result<(naga::Module, ModuleInfo), String> {
 }
 
 /// Every pipeline that the backend builds for these plans, and the plans themselves by name: default sizes in every format with one
-/// to three sensors, a wide array, several arrays, a grid without mirror images, smoothing, and one without any folding.
+/// to three sensors, a wide array, several arrays, a grid without mirror images, smoothing, one without any folding, and one with
+/// CLEAN.
 fn all_pipelines() -> Vec<PipelineUse> {
     let mut cases = Vec::new();
     for format in [SampleFormat::Pdm, SampleFormat::PcmI16, SampleFormat::PcmF32] {
@@ -55,6 +56,9 @@ fn all_pipelines() -> Vec<PipelineUse> {
     let mut coarse = Case::standard("coarse", SampleFormat::PcmI16, 1, 7);
     coarse.params = ImagingParams { range_step_m: Some(0.05), ..coarse.params };
     cases.push(coarse);
+    let mut clean = Case::standard("clean", SampleFormat::PcmF32, 2, 3);
+    clean.params.clean_rounds = Some(2);
+    cases.push(clean);
     let mut all: Vec<PipelineUse> = Vec::new();
     for case in cases {
         let plan = case.plan();
