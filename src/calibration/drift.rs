@@ -14,7 +14,7 @@ use super::params::{Applied, CalibrationParams};
 use super::running::BLOCK;
 use super::solve::{Heard, Known, Solution, Way, solve};
 use crate::imaging::plan::ImagingPlan;
-use crate::sensor::{SensorSetup, air};
+use crate::sensor::{SensorSetup, air, per_emission};
 use crate::signal::{PingSet, SampleFormat};
 use nalgebra::Vector3;
 use std::fmt;
@@ -190,10 +190,12 @@ impl DriftMonitor {
     /// of sound that images are made with.
     #[must_use]
     pub fn new(plan: &ImagingPlan, nominal: &[SensorSetup], params: &CalibrationParams, used_m_s: f64) -> Self {
-        let watched = nominal.iter().filter(|_| params.watch);
+        let watched = if params.watch { nominal } else { &[] };
+        let sweeps = per_emission(watched, |index| Sweep::new(&watched[index].emission));
         let sensors: Vec<SensorDrift> = watched
-            .map(|sensor| {
-                let sweep = Arc::new(Sweep::new(&sensor.emission));
+            .iter()
+            .zip(sweeps)
+            .map(|(sensor, sweep)| {
                 let measured = params.measured.as_ref().and_then(|file| file.sensor(&sensor.name));
                 let applied = params.apply.contains(&Applied::SpeedOfSound);
                 SensorDrift::new(plan, sensor, &sweep, measured.map(|found| (found, applied)), used_m_s)

@@ -43,4 +43,5 @@ pub use path_follower::{Detector, FollowerState, ObstacleReport, PathFollower, P
 pub use range_scan::RangeScanner;
 pub use ring_detector::{RingDetector, RingReport};
 pub use scan_fuser::ScanFuser;
+pub(crate) use side_lobes::vertex;
 pub use space::SpaceDetector;

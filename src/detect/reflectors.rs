@@ -6,7 +6,7 @@
 //! which a lobe is symmetric. What may be a side lobe of something louder at about its range is none. Never fuses sensors or pings,
 //! allocates nothing after it was made.
 
-use super::side_lobes::{Loudness, vertex};
+use super::side_lobes::{Tops, keep};
 use crate::signal::PolarGrid;
 
 /// Most reflectors of one sensor; the loudest, spreading undone, are kept.
@@ -51,13 +51,7 @@ pub struct Reflector {
 pub struct ReflectorFinder {
     /// Level directions that are seen, by rising azimuth: row and sine of the azimuth. Apart by more than a beam: a border.
     level: Vec<(usize, f64, f64)>,
-    floors: Vec<f32>,
-    share: f32,
-    loudness: Loudness,
-    /// The least that a hill at each range bin must reach; scratch.
-    needed: Vec<f32>,
-    range_first_m: f64,
-    range_step_m: f64,
+    tops: Tops,
 }
 
 impl ReflectorFinder {
@@ -72,55 +66,37 @@ impl ReflectorFinder {
             .map(|index| (index, grid.directions()[index].azimuth_rad, grid.directions()[index].azimuth_rad.sin()))
             .collect();
         level.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let count = grid.range_count();
-        Self {
-            level,
-            floors: (0..count).map(|index| floor_at(grid.range_m(index)) as f32).collect(),
-            share: side_lobe_share as f32,
-            loudness: Loudness::new(grid),
-            needed: vec![0.0; count],
-            range_first_m: grid.range_first_m(),
-            range_step_m: grid.range_step_m(),
-        }
+        Self { level, tops: Tops::new(grid, floor_at, side_lobe_share, ABOVE_FLOOR) }
     }
 
     /// Fills `found`, by falling weight; nothing where the cells are not those of the grid.
     pub fn find(&mut self, cells: &[f32], found: &mut Vec<Reflector>) {
         found.clear();
-        let count = self.floors.len();
-        if count < 3 || self.level.iter().any(|(row, _, _)| (row + 1) * count > cells.len()) {
+        if !self.tops.listen(cells, self.level.iter().map(|(row, _, _)| *row)) {
             return;
         }
-        self.loudness.listen(self.level.iter().map(|(row, _, _)| &cells[row * count..][..count]));
-        for ((needed, around), floor) in self.needed.iter_mut().zip(self.loudness.around()).zip(&self.floors) {
-            *needed = (self.share * around).max(ABOVE_FLOOR * floor);
-        }
         for order in 0..self.level.len() {
-            let row = self.row(cells, order);
-            for bin in 1..count - 1 {
-                let value = row[bin];
-                let top = value > self.needed[bin] && value >= row[bin - 1] && value > row[bin + 1];
-                if let Some(reflector) = top.then(|| self.reflector(cells, order, bin)).flatten() {
-                    keep(found, reflector);
+            for bin in self.tops.of_row(self.row(cells, order)) {
+                if let Some(reflector) = self.reflector(cells, order, bin) {
+                    keep(found, REFLECTORS_MAX, reflector, |other| f64::from(other.energy) * other.range_m);
                 }
             }
         }
     }
 
     fn row<'a>(&self, cells: &'a [f32], order: usize) -> &'a [f32] {
-        let (row, count) = (self.level[order].0, self.floors.len());
+        let (row, count) = (self.level[order].0, self.tops.range_count());
         &cells[row * count..(row + 1) * count]
     }
 
     /// The hill with this top; `None` if there is a higher place on it.
     fn reflector(&self, cells: &[f32], order: usize, bin: usize) -> Option<Reflector> {
         let row = self.row(cells, order);
-        let top = row[bin];
         let mut right = (0..order).rev();
         let mut left = order + 1..self.level.len();
         let right = self.flank(cells, &mut right, (order, bin), true)?;
         let left = self.flank(cells, &mut left, (order, bin), false)?;
-        let noise = f64::from(self.floors[bin] / top).min(1.0);
+        let noise = self.tops.noise(row, bin);
         let fine_rad = BEARING_SIGMA_RAD.hypot(BEARING_SIGMA_AT_FLOOR_RAD * noise);
         let azimuth_rad = self.level[order].1;
         let aside = azimuth_rad.cos().max(ASIDE_MIN);
@@ -136,11 +112,11 @@ impl ReflectorFinder {
             _ => (azimuth_rad, FLANK_SIGMA_RAD),
         };
         Some(Reflector {
-            range_m: self.range_first_m + (bin as f64 + vertex(row[bin - 1], top, row[bin + 1])) * self.range_step_m,
+            range_m: self.tops.range_m(row, bin),
             bearing_rad,
             range_sigma_m: RANGE_SIGMA_M.hypot(RANGE_SIGMA_AT_FLOOR_M * noise),
             bearing_sigma_rad,
-            energy: top,
+            energy: row[bin],
         })
     }
 
@@ -176,17 +152,6 @@ impl ReflectorFinder {
         }
         Some(None)
     }
-}
-
-/// Enters a reflector by weight; the list never grows beyond its room.
-fn keep(found: &mut Vec<Reflector>, reflector: Reflector) {
-    let weight = |reflector: &Reflector| f64::from(reflector.energy) * reflector.range_m;
-    let place = found.iter().position(|other| weight(other) < weight(&reflector)).unwrap_or(found.len());
-    if place >= REFLECTORS_MAX {
-        return;
-    }
-    found.truncate(REFLECTORS_MAX - 1);
-    found.insert(place, reflector);
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 //! everywhere. Its uncertainty is that paraboloid's width, shared by the signal-to-noise ratio. Never fuses sensors or pings, allocates
 //! nothing after it was made.
 
-use super::side_lobes::{Loudness, vertex};
+use super::side_lobes::{Tops, keep, vertex};
 use crate::signal::PolarGrid;
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
@@ -60,13 +60,7 @@ pub struct SpaceFinder {
     sites: Vec<Site>,
     /// Median distance to the nearest direction, in direction cosines on boresight.
     spacing: f64,
-    floors: Vec<f32>,
-    share: f32,
-    loudness: Loudness,
-    /// The least that a peak at each range bin must reach; scratch.
-    needed: Vec<f32>,
-    range_first_m: f64,
-    range_step_m: f64,
+    tops: Tops,
 }
 
 impl SpaceFinder {
@@ -91,37 +85,23 @@ impl SpaceFinder {
             let offsets = near.iter().map(|(_, other)| (units[*other].yz() - cosines) / spacing);
             Site { row: rows[place], cosines, neighbours, fit: fit(offsets) }
         };
-        let count = grid.range_count();
         Self {
             sites: near.iter().enumerate().map(site).collect(),
             spacing,
-            floors: (0..count).map(|index| floor_at(grid.range_m(index)) as f32).collect(),
-            share: side_lobe_share as f32,
-            loudness: Loudness::new(grid),
-            needed: vec![0.0; count],
-            range_first_m: grid.range_first_m(),
-            range_step_m: grid.range_step_m(),
+            tops: Tops::new(grid, floor_at, side_lobe_share, ABOVE_FLOOR),
         }
     }
 
     /// Fills `found`, by falling weight; nothing where the cells are not those of the grid.
     pub fn find(&mut self, cells: &[f32], found: &mut Vec<SpacePeak>) {
         found.clear();
-        let count = self.floors.len();
-        if count < 3 || self.sites.iter().any(|site| (site.row + 1) * count > cells.len()) {
+        if !self.tops.listen(cells, self.sites.iter().map(|site| site.row)) {
             return;
         }
-        self.loudness.listen(self.sites.iter().map(|site| &cells[site.row * count..][..count]));
-        for ((needed, around), floor) in self.needed.iter_mut().zip(self.loudness.around()).zip(&self.floors) {
-            *needed = (self.share * around).max(ABOVE_FLOOR * floor);
-        }
         for site in &self.sites {
-            let row = &cells[site.row * count..][..count];
-            for bin in 1..count - 1 {
-                let value = row[bin];
-                let top = value > self.needed[bin] && value >= row[bin - 1] && value > row[bin + 1];
-                if top && let Some(peak) = self.peak(cells, site, bin) {
-                    keep(found, peak);
+            for bin in self.tops.of_row(self.row(cells, site.row)) {
+                if let Some(peak) = self.peak(cells, site, bin) {
+                    keep(found, PEAKS_MAX, peak, |other| f64::from(other.energy) * other.position_m.norm());
                 }
             }
         }
@@ -138,18 +118,22 @@ impl SpaceFinder {
         let apart = (peak.position_m / range_m - louder.position_m / louder_m).yz().norm();
         let apart_m = (range_m - louder_m).abs();
         let same = apart < LOBE && apart_m < LOBE_REACH_M && peak.energy < louder.energy;
-        let beside = peak.energy < self.share * louder.energy && apart_m < PULSE_REACH_M + ARM_REACH_M * apart;
+        let beside = peak.energy < self.tops.share * louder.energy && apart_m < PULSE_REACH_M + ARM_REACH_M * apart;
         same || beside
+    }
+
+    fn row<'a>(&self, cells: &'a [f32], row: usize) -> &'a [f32] {
+        let count = self.tops.range_count();
+        &cells[row * count..][..count]
     }
 
     /// The peak with this top; `None` if a neighbour is higher. Of equally high ones the first in order is the top.
     fn peak(&self, cells: &[f32], site: &Site, bin: usize) -> Option<SpacePeak> {
-        let count = self.floors.len();
-        let row = &cells[site.row * count..][..count];
-        let (top, height) = (row[bin], crest(row, bin));
+        let row = self.row(cells, site.row);
+        let height = crest(row, bin);
         let mut logarithms = SVector::<f64, 9>::zeros();
         for (slot, other) in site.neighbours.iter().enumerate() {
-            let other_row = &cells[other * count..][..count];
+            let other_row = self.row(cells, *other);
             let near = if other_row[bin - 1] > other_row[bin + 1] { bin - 1 } else { bin + 1 };
             let highest = if other_row[near] > other_row[bin] { near } else { bin };
             let other_height = crest(other_row, highest);
@@ -159,14 +143,13 @@ impl SpaceFinder {
             // What is far below says nothing of the top's form; a zero would say it with infinite weight.
             logarithms[slot + 1] = (other_height / height).max(0.1).ln();
         }
-        let noise = f64::from(self.floors[bin] / top).min(1.0);
+        let noise = self.tops.noise(row, bin);
         let (offset, width) = summit(&(site.fit * logarithms));
         let share = SHARE_SIGMA.hypot(SHARE_SIGMA_AT_FLOOR * noise);
-        let range_m = self.range_first_m + (bin as f64 + vertex(row[bin - 1], top, row[bin + 1])) * self.range_step_m;
         let range_sigma_m = RANGE_SIGMA_M.hypot(RANGE_SIGMA_AT_FLOOR_M * noise);
         let cosines = site.cosines + offset * self.spacing;
         let covariance = width * (self.spacing * share).powi(2);
-        Some(in_space(range_m, range_sigma_m, cosines, covariance, top))
+        Some(in_space(self.tops.range_m(row, bin), range_sigma_m, cosines, covariance, row[bin]))
     }
 }
 
@@ -177,9 +160,7 @@ fn crest(row: &[f32], bin: usize) -> f64 {
         return f64::from(row[bin]);
     };
     let [before, top, after] = [before, row[bin], *after].map(|value| f64::from(value.max(1e-12)).ln());
-    let bend = before - 2.0 * top + after;
-    let offset = if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
-    (top - 0.25 * (before - after) * offset).exp()
+    (top - 0.25 * (before - after) * vertex(before, top, after)).exp()
 }
 
 /// The nearest directions by angle, nearest first.
@@ -245,17 +226,6 @@ fn in_space(
         covariance_m2: turn * covariance * turn.transpose() + unit * unit.transpose() * range_sigma_m.powi(2),
         energy,
     }
-}
-
-/// Enters a peak by weight; the list never grows beyond its room.
-fn keep(found: &mut Vec<SpacePeak>, peak: SpacePeak) {
-    let weight = |peak: &SpacePeak| f64::from(peak.energy) * peak.position_m.norm();
-    let place = found.iter().position(|other| weight(other) < weight(&peak)).unwrap_or(found.len());
-    if place >= PEAKS_MAX {
-        return;
-    }
-    found.truncate(PEAKS_MAX - 1);
-    found.insert(place, peak);
 }
 
 #[cfg(test)]

@@ -24,10 +24,9 @@ pub use pattern::{Calibration, OUTLIER_MAX_M, OUTLIER_MIN_M, RMS_MAX_M};
 
 use super::channels::ChannelFinding;
 use super::plan::ImagingPlan;
-use crate::sensor::SensorSetup;
+use crate::sensor::{SensorSetup, per_emission};
 use crate::signal::RawPing;
 use sensor::SensorPath;
-use std::sync::Arc;
 use template::Template;
 
 /// Correlation coefficient that counts as heard. Noise gives about 1 / sqrt(samples) times a few for the best of the lags,
@@ -69,12 +68,7 @@ impl DirectPath {
     #[must_use]
     pub fn new(plan: &ImagingPlan, sensors: &[SensorSetup], speed_of_sound_m_s: f64) -> Self {
         // Sensors with equal emissions share a template.
-        let mut templates: Vec<Arc<Template>> = Vec::new();
-        for (index, sensor) in sensors.iter().enumerate() {
-            let twin = sensors[..index].iter().position(|other| other.emission == sensor.emission);
-            templates
-                .push(twin.map_or_else(|| Arc::new(Template::new(&sensor.emission)), |at| Arc::clone(&templates[at])));
-        }
+        let templates = per_emission(sensors, |index| Template::new(&sensors[index].emission));
         let path = |(sensor, template)| SensorPath::new(plan, sensor, template, speed_of_sound_m_s);
         Self { sensors: sensors.iter().zip(&templates).map(path).collect() }
     }

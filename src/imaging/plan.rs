@@ -191,7 +191,7 @@ impl ImagingPlan {
         };
         reference::fill(&mut plan, &bands, sensors, 2.0 * params.range_min_m / speed_of_sound_m_s);
         plan.smoothing_taps = smoothing_taps(&plan, params)?;
-        plan.focus = focus::focus(&plan, sensors, params, &band, speed_of_sound_m_s)?;
+        plan.focus = focus::focus(&plan, sensors, params, &bands, speed_of_sound_m_s)?;
         Ok(plan)
     }
 

@@ -36,3 +36,13 @@ pub struct SensorSetup {
     /// Place of the emitter in the sensor frame.
     pub emitter_m: Vector3<f64>,
 }
+
+/// What `make` makes of the emission of each sensor, by the sensor's index; sensors with equal emissions share one.
+pub fn per_emission<T>(sensors: &[SensorSetup], make: impl Fn(usize) -> T) -> Vec<Arc<T>> {
+    let mut made: Vec<Arc<T>> = Vec::with_capacity(sensors.len());
+    for (index, sensor) in sensors.iter().enumerate() {
+        let twin = sensors[..index].iter().position(|other| other.emission == sensor.emission);
+        made.push(twin.map_or_else(|| Arc::new(make(index)), |twin| Arc::clone(&made[twin])));
+    }
+    made
+}

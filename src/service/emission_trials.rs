@@ -9,15 +9,17 @@ mod scenes;
 
 pub use scenes::{ROOMS, Room, facing, fan, rooms};
 
+use super::image_quality::thin_pillar;
 use super::wiring::{self, SensingSetup};
-use super::{ServiceError, crew, regions, simulator};
+use super::{ServiceError, crew, scanning, simulator};
 use crate::config::Config;
-use crate::detect::reflectors::{REFLECTORS_MAX, Reflector, ReflectorFinder};
+use crate::detect::reflectors::{REFLECTORS_MAX, Reflector};
+use crate::detect::vertex;
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
 use crate::sensor::{EmissionParams, EmissionPlan, MountParams, RecordingParams, SensorEmission, SensorParams, Sweeps};
 use crate::signal::{Energyscape, MaskTable, PingSet, SampleFormat};
-use crate::sim::{Pillar, SimParams, Simulator, World};
+use crate::sim::{SimParams, Simulator};
 use crate::time::Stamp;
 use scenes::{Place, Scene, free_way_m};
 use std::sync::Arc;
@@ -151,12 +153,13 @@ pub fn judge(config: &Config, candidate: &Candidate, places: usize, jobs: usize)
     let fan = fan(&robot);
     let in_turn = candidate.plan == EmissionPlan::InTurn;
     let facing = if in_turn { None } else { Some(tally(&facing(&robot, places), jobs, Sound::Cross)?) };
+    let rooms_of_robot = rooms(&robot, places)?;
     Ok(Judgement {
         name: candidate.name,
         sharpness: sharpness(&robot)?,
         added_s: robot.slot_s() * robot.sensor.len().saturating_sub(1) as f64,
-        robot: tally(&rooms(&robot, places)?, jobs, Sound::Cross)?,
-        noise: tally(&rooms(&robot, places)?, jobs, Sound::OtherNoise)?,
+        robot: tally(&rooms_of_robot, jobs, Sound::Cross)?,
+        noise: tally(&rooms_of_robot, jobs, Sound::OtherNoise)?,
         fan: tally(&rooms(&fan, places)?, jobs, Sound::Cross)?,
         facing,
     })
@@ -280,12 +283,9 @@ fn second_set(simulator: &mut Simulator) -> PingSet {
 }
 
 fn seen(config: &Config, setup: &SensingSetup, imager: &mut Imager, pings: &PingSet) -> Result<Seen, ServiceError> {
-    let params = regions::mask_params(&config.control, &config.platform);
     let images = imager.image(pings)?.energyscapes.clone();
     let mut echoes = Vec::new();
-    for (image, hidden) in images.iter().zip(setup.hidden_directions()) {
-        let floor = |range_m: f64| params.noise_floor.at(range_m);
-        let mut finder = ReflectorFinder::new(&setup.plan.grid, &hidden, floor, params.side_lobe_share);
+    for (image, mut finder) in images.iter().zip(scanning::reflector_finders(config, setup)) {
         let mut found = Vec::with_capacity(REFLECTORS_MAX);
         finder.find(&image.values, &mut found);
         echoes.push(found);
@@ -363,10 +363,7 @@ fn single(config: &Config, index: usize) -> Config {
 
 /// The ping of a thin pillar on boresight in silence.
 fn echo_of_pillar(config: &Config, setup: &SensingSetup) -> Result<PingSet, ServiceError> {
-    let radius_m = 0.01;
-    let pillar = Pillar { centre: [SINGLE_M + radius_m, 0.0], radius_m };
-    let world = World { pillars: vec![pillar], ..World::default() };
-    let acoustics = SimParams { noise_rms: 0.0, direct_amplitude: 0.0, ..SimParams::default() };
+    let (world, acoustics) = thin_pillar(0.0, SINGLE_M);
     Ok(second_set(&mut simulator(config, setup, world, acoustics, 1)?))
 }
 
@@ -377,8 +374,7 @@ fn peak_in_range(image: &Energyscape) -> (f64, f64, f64) {
     let count = image.grid.range_count();
     let value = |index: usize| f64::from(image.values[image.grid.cell(direction, index.min(count - 1))]);
     let (before, at, after) = (value(range.saturating_sub(1)), f64::from(peak), value(range + 1));
-    let bend = before - 2.0 * at + after;
-    let shift = if bend < 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
+    let shift = vertex(before, at, after);
     let half = 0.5 * at;
     let crossing = |indices: &mut dyn Iterator<Item = usize>| {
         let mut inner = range;

@@ -301,14 +301,19 @@ fn imager(setup: &SensingSetup, prefer: Prefer) -> Result<Imager, ServiceError> 
     Ok(Imager::open(Arc::clone(&setup.plan), Arc::new(MaskTable::default()), prefer, options)?)
 }
 
-/// One thin pillar in silence.
-fn single_echo(config: &Config, setup: &SensingSetup, bearing_deg: f64, range_m: f64) -> Result<PingSet, ServiceError> {
+/// A world with one thin pillar, whose surface is that far away, and silence about it.
+pub(super) fn thin_pillar(bearing_deg: f64, range_m: f64) -> (World, SimParams) {
     let radius_m = 0.01;
     let (sin, cos) = bearing_deg.to_radians().sin_cos();
     let reach_m = range_m + radius_m;
     let pillar = Pillar { centre: [reach_m * cos, reach_m * sin], radius_m };
-    let world = World { pillars: vec![pillar], ..World::default() };
     let acoustics = SimParams { noise_rms: 0.0, direct_amplitude: 0.0, ..SimParams::default() };
+    (World { pillars: vec![pillar], ..World::default() }, acoustics)
+}
+
+/// Its ping.
+fn single_echo(config: &Config, setup: &SensingSetup, bearing_deg: f64, range_m: f64) -> Result<PingSet, ServiceError> {
+    let (world, acoustics) = thin_pillar(bearing_deg, range_m);
     let mut simulator = simulator(config, setup, world, acoustics, 1)?;
     let mut pings = simulator.empty_ping_set();
     simulator.ping_set(Stamp::default(), &mut pings);

@@ -7,11 +7,15 @@ use super::trial::{TrialRig, open_imager};
 use super::wiring::SensingSetup;
 use super::{ServiceError, regions};
 use crate::config::Config;
+use crate::detect::reflectors::ReflectorFinder;
 use crate::detect::{EgoMotion, EgoPlatform, ScanFuser, SpaceDetector};
+use crate::flow::MaskParams;
 use crate::imaging::Imager;
 use crate::imaging::backend::BackendError;
 use crate::imaging::params::Prefer;
-use crate::signal::{PingSet, RobotScan};
+use crate::sensor::SensorSetup;
+use crate::signal::{PingSet, PolarGrid, RobotScan};
+use std::sync::Arc;
 
 /// Scans what a robot hears.
 pub struct Scanning {
@@ -20,36 +24,66 @@ pub struct Scanning {
     scan: RobotScan,
 }
 
-/// The fuser of the sensors of `setup`, with the noise floor and the side-lobe level that the layers of `config` use.
+/// What every detector on images is made with: the grid, the sensors and what each does not see, and the noise floor and the side-lobe
+/// level that the layers of `config` use.
+struct Sight<'a> {
+    grid: &'a Arc<PolarGrid>,
+    sensors: &'a [SensorSetup],
+    hidden: Vec<Vec<bool>>,
+    params: MaskParams,
+}
+
+impl<'a> Sight<'a> {
+    fn new(config: &Config, setup: &'a SensingSetup) -> Self {
+        Self {
+            grid: &setup.plan.grid,
+            sensors: &setup.sensors,
+            hidden: setup.hidden_directions(),
+            params: regions::mask_params(&config.control, &config.platform),
+        }
+    }
+
+    fn floor(&self) -> impl Fn(f64) -> f64 + '_ {
+        |range_m| self.params.noise_floor.at(range_m)
+    }
+}
+
+/// The fuser of the sensors of `setup`, as the daemon makes it.
 #[must_use]
 pub fn fuser(config: &Config, setup: &SensingSetup) -> ScanFuser {
-    let params = regions::mask_params(&config.control, &config.platform);
-    let floor = |range_m| params.noise_floor.at(range_m);
-    ScanFuser::new(&setup.plan.grid, &setup.sensors, &setup.hidden_directions(), floor, params.side_lobe_share)
+    let sight = Sight::new(config, setup);
+    ScanFuser::new(sight.grid, sight.sensors, &sight.hidden, sight.floor(), sight.params.side_lobe_share)
+}
+
+/// The finder of reflectors of each sensor, as the estimator of motion makes them.
+#[must_use]
+pub fn reflector_finders(config: &Config, setup: &SensingSetup) -> Vec<ReflectorFinder> {
+    let sight = Sight::new(config, setup);
+    let finder =
+        |hidden: &Vec<bool>| ReflectorFinder::new(sight.grid, hidden, sight.floor(), sight.params.side_lobe_share);
+    sight.hidden.iter().map(finder).collect()
 }
 
 /// The estimator of a robot, as the daemon makes it.
 #[must_use]
 pub fn estimator(config: &Config, setup: &SensingSetup) -> EgoMotion {
-    let params = regions::mask_params(&config.control, &config.platform);
+    let sight = Sight::new(config, setup);
     let platform = EgoPlatform {
         radius_m: config.platform.radius_m,
         max_linear_m_s: config.platform.max_linear_m_s,
         max_angular_rad_s: config.platform.max_angular_rad_s,
         speed_of_sound_m_s: setup.speed_of_sound_m_s,
     };
-    let floor = |range_m| params.noise_floor.at(range_m);
-    let hidden = setup.hidden_directions();
-    EgoMotion::new(&setup.plan.grid, &setup.sensors, &hidden, floor, params.side_lobe_share, platform)
+    let share = sight.params.side_lobe_share;
+    EgoMotion::new(sight.grid, sight.sensors, &sight.hidden, sight.floor(), share, platform)
 }
 
 /// The detector of points in space of a robot, as the daemon makes it; `None` where the grid is level.
 #[must_use]
 pub fn space(config: &Config, setup: &SensingSetup) -> Option<SpaceDetector> {
-    let params = regions::mask_params(&config.control, &config.platform);
-    let floor = |range_m| params.noise_floor.at(range_m);
-    let hidden = setup.hidden_directions();
-    SpaceDetector::new(&setup.plan.grid, &setup.sensors, &hidden, floor, params.side_lobe_share, config.platform.z_m)
+    let sight = Sight::new(config, setup);
+    let share = sight.params.side_lobe_share;
+    SpaceDetector::new(sight.grid, sight.sensors, &sight.hidden, sight.floor(), share, config.platform.z_m)
 }
 
 impl Scanning {

@@ -5,10 +5,10 @@
 //! has in the plane: all of them are in its way. Draws nothing.
 
 use super::wiring::{self, SensingSetup};
-use super::{ServiceError, regions, scanning, simulator};
+use super::{ServiceError, scanning, simulator};
 use crate::config::Config;
 use crate::detect::SpaceDetector;
-use crate::detect::reflectors::{REFLECTORS_MAX, Reflector, ReflectorFinder};
+use crate::detect::reflectors::{REFLECTORS_MAX, Reflector};
 use crate::geometry::Pose2;
 use crate::imaging::params::Prefer;
 use crate::imaging::{Imager, ImagerOptions};
@@ -158,7 +158,7 @@ impl Looker {
         let mut simulator = simulator(&self.config, &self.setup, room.world.clone(), acoustics, room.seed)?;
         simulator.set_pose(Pose2::default());
         let mut pings = simulator.empty_ping_set();
-        let mut fan = self.fan();
+        let mut fan = scanning::reflector_finders(&self.config, &self.setup).swap_remove(0);
         let mut look = Look { cloud: PointCloud::empty(), imaging_ms: 0.0, finding_ms: 0.0 };
         for ping in 1..=PINGS {
             simulator.ping_set(Stamp { boottime_ns: ping, wall_ns: 0 }, &mut pings);
@@ -181,13 +181,6 @@ impl Looker {
             look.finding_ms = 1e3 * since.elapsed().as_secs_f64();
         }
         Ok(look)
-    }
-
-    fn fan(&self) -> ReflectorFinder {
-        let params = regions::mask_params(&self.config.control, &self.config.platform);
-        let hidden = self.setup.hidden_directions();
-        let floor = |range_m| params.noise_floor.at(range_m);
-        ReflectorFinder::new(&self.setup.plan.grid, &hidden[0], floor, params.side_lobe_share)
     }
 
     fn in_plane(&self, reflector: &Reflector) -> SpacePoint {

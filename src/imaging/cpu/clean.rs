@@ -7,45 +7,29 @@
 use crate::imaging::plan::FocusPlan;
 use crate::imaging::plan::clean::{CleanPlan, IMPROVEMENTS, PULSE_STEPS, RIDGE, SensorClean, TERMS};
 use crate::imaging::plan::focus::{FRACTIONS, TAPS, TAPS_BEFORE};
+use nalgebra::Complex;
 use std::f32::consts::TAU;
 
-/// The loudest cell of some.
+/// A cell and what it reads.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Loudest {
+pub(super) struct Cell {
     pub value: f32,
     pub direction: usize,
     pub range: usize,
-}
-
-impl Loudest {
-    /// The louder of two; of equals the first.
-    pub(super) fn or(self, other: Self) -> Self {
-        if other.value > self.value { other } else { self }
-    }
-}
-
-/// The loudest cell of every window of a row.
-pub(super) fn loudest_of_row(clean: &CleanPlan, direction: usize, row: &[f32], found: &mut [Loudest]) {
-    for (window, found) in found.iter_mut().enumerate() {
-        let ranges = clean.window(window, row.len());
-        let cells = row[ranges.clone()].iter().zip(ranges);
-        *found =
-            cells.fold(Loudest::default(), |best, (value, range)| best.or(Loudest { value: *value, direction, range }));
-    }
 }
 
 /// An echo that was taken out; of amplitude zero where there was none.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Echo {
     /// The cell and what it read.
-    pub cell: Loudest,
+    pub cell: Cell,
     /// Samples of a channel signal by which it is later than its cell.
     pub late_samples: f32,
     /// Wave front against that of the cell: metres at the array's radius, in x, y, z and the squared distance.
     pub tilt_m: [f32; TERMS],
     /// Complex amplitude, and that of its slope over frequency.
-    pub amplitude: [f32; 2],
-    pub slope: [f32; 2],
+    pub amplitude: Complex<f32>,
+    pub slope: Complex<f32>,
 }
 
 /// Where an echo stands in a channel signal.
@@ -54,7 +38,7 @@ pub(super) struct Arrival {
     /// Samples behind that of the cell's range.
     pub offset_samples: f32,
     /// Phase that brings the channel into line.
-    pub turn: [f32; 2],
+    pub turn: Complex<f32>,
 }
 
 /// The signals of one sensor.
@@ -69,7 +53,7 @@ pub(super) struct Channels<'a> {
 
 impl Channels<'_> {
     /// Three samples about a place of a channel: a sample before, there, and a sample behind.
-    fn around(&self, channel: usize, range: usize, offset_samples: f32) -> [[f32; 2]; 3] {
+    fn around(&self, channel: usize, range: usize, offset_samples: f32) -> [Complex<f32>; 3] {
         let focus = self.focus;
         let whole = offset_samples.floor();
         let step = (offset_samples - whole) * FRACTIONS as f32;
@@ -78,7 +62,7 @@ impl Channels<'_> {
         let (here, next) = (&focus.taps[entry], &focus.taps[entry + 1]);
         let base = (whole as isize + ((focus.lead + range) * focus.oversampling) as isize) - TAPS_BEFORE as isize - 1;
         let signals = self.blocks[channel / self.lanes];
-        let mut found = [[0.0; 2]; 3];
+        let mut found = [Complex::default(); 3];
         for place in 0..TAPS + 2 {
             let sample = base + place as isize;
             let Ok(sample) = usize::try_from(sample) else { continue };
@@ -87,31 +71,15 @@ impl Channels<'_> {
                 continue;
             }
             let at = (channel % self.lanes * focus.oversampling + row) * 2 * focus.row_len + column;
-            let value = [signals[at], signals[at + focus.row_len]];
+            let value = Complex::new(signals[at], signals[at + focus.row_len]);
             for (shift, found) in found.iter_mut().enumerate() {
                 let Some(tap) = place.checked_sub(shift).filter(|tap| *tap < TAPS) else { continue };
                 let weight = here[tap] + share * (next[tap] - here[tap]);
-                *found = [found[0] + weight * value[0], found[1] + weight * value[1]];
+                *found += value * weight;
             }
         }
         found
     }
-}
-
-fn times(a: [f32; 2], b: [f32; 2]) -> [f32; 2] {
-    [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
-}
-
-fn plus(a: [f32; 2], b: [f32; 2]) -> [f32; 2] {
-    [a[0] + b[0], a[1] + b[1]]
-}
-
-fn conjugate(a: [f32; 2]) -> [f32; 2] {
-    [a[0], -a[1]]
-}
-
-fn square(a: [f32; 2]) -> f32 {
-    a[0] * a[0] + a[1] * a[1]
 }
 
 fn over(a: f32, b: f32) -> f32 {
@@ -119,9 +87,9 @@ fn over(a: f32, b: f32) -> f32 {
 }
 
 /// Phase of so many turns.
-fn turn(turns: f32) -> [f32; 2] {
+fn turn(turns: f32) -> Complex<f32> {
     let (sin, cos) = (TAU * (turns - turns.round())).sin_cos();
-    [cos, sin]
+    Complex::new(cos, sin)
 }
 
 /// What a fit works with.
@@ -133,18 +101,18 @@ pub(super) struct Fit<'a> {
 
 impl Fit<'_> {
     /// Fits the echo of a cell, and says where it stands in every channel; `values` is room for a value a channel.
-    pub(super) fn fit(&self, cell: Loudest, arrivals: &mut [Arrival], values: &mut [[f32; 2]]) -> Echo {
+    pub(super) fn fit(&self, cell: Cell, arrivals: &mut [Arrival], values: &mut [Complex<f32>]) -> Echo {
         let focus = self.channels.focus;
         let mut echo = Echo { cell, ..Echo::default() };
         for step in 0..=IMPROVEMENTS {
             self.arrive(&echo, arrivals);
-            let mut beam = [[0.0; 2]; 3];
+            let mut beam = [Complex::default(); 3];
             for (channel, arrival) in arrivals.iter().enumerate().filter(|(channel, _)| self.is_used(*channel)) {
                 let around = self.channels.around(channel, cell.range, arrival.offset_samples);
                 for (beam, value) in beam.iter_mut().zip(around) {
-                    *beam = plus(*beam, times(value, arrival.turn));
+                    *beam += value * arrival.turn;
                 }
-                values[channel] = times(around[1], arrival.turn);
+                values[channel] = around[1] * arrival.turn;
             }
             (echo.amplitude, echo.slope) = self.amplitudes(&beam);
             if step == IMPROVEMENTS {
@@ -152,13 +120,12 @@ impl Fit<'_> {
             }
             let mut system = System::default();
             for (channel, value) in values.iter().enumerate().filter(|(channel, _)| self.is_used(*channel)) {
-                let value = *value;
-                let ahead = times(value, conjugate(beam[1]));
-                let sine = over(ahead[1], (square(value) * square(beam[1])).sqrt());
+                let ahead = value * beam[1].conj();
+                let sine = over(ahead.im, (value.norm_sqr() * beam[1].norm_sqr()).sqrt());
                 system.add(self.terms(channel), sine, self.channels.gains[channel]);
             }
-            let ahead = times(echo.slope, conjugate(echo.amplitude));
-            let late = -over(ahead[1], square(echo.amplitude) * self.sensor().slope_per_sample);
+            let ahead = echo.slope * echo.amplitude.conj();
+            let late = -over(ahead.im, echo.amplitude.norm_sqr() * self.sensor().slope_per_sample);
             let most = focus.oversampling as f32;
             echo.late_samples = (echo.late_samples + late.clamp(-most, most)).clamp(-1.5 * most, 1.5 * most);
             // A phase ahead of the others' is a path that is shorter than was taken.
@@ -203,22 +170,21 @@ impl Fit<'_> {
     }
 
     /// Amplitudes of the pulse and of its slope that the beam shows at its peak and a sample to either side.
-    fn amplitudes(&self, beam: &[[f32; 2]; 3]) -> ([f32; 2], [f32; 2]) {
+    fn amplitudes(&self, beam: &[Complex<f32>; 3]) -> (Complex<f32>, Complex<f32>) {
         let whole: f32 = self.channels.gains.iter().sum();
-        let beam = beam.map(|value| value.map(|part| over(part, whole)));
+        let beam = beam.map(|value| value * over(1.0, whole));
         let peak = self.clean.pulse_reach * PULSE_STEPS;
-        let (mut slope, mut norm) = ([0.0; 2], 0.0);
+        let (mut slope, mut norm) = (Complex::default(), 0.0);
         for (entry, value) in [(peak - PULSE_STEPS, beam[0]), (peak + PULSE_STEPS, beam[2])] {
             let [re, im, slope_re, slope_im] = self.sensor().pulse[entry];
-            let expected = times(beam[1], [re, im]);
-            let rest = [value[0] - expected[0], value[1] - expected[1]];
-            slope = plus(slope, times(conjugate([slope_re, slope_im]), rest));
-            norm += square([slope_re, slope_im]);
+            let by_slope = Complex::new(slope_re, slope_im);
+            slope += by_slope.conj() * (value - beam[1] * Complex::new(re, im));
+            norm += by_slope.norm_sqr();
         }
-        slope = slope.map(|part| over(part, norm));
+        slope *= over(1.0, norm);
         // More slope than echo is another echo.
-        let least = over(square(beam[1]), square(slope)).sqrt().min(1.0);
-        (beam[1], slope.map(|part| part * least))
+        let least = over(beam[1].norm_sqr(), slope.norm_sqr()).sqrt().min(1.0);
+        (beam[1], slope * least)
     }
 }
 
@@ -278,8 +244,8 @@ pub(super) fn take_out(
     let base = ((focus.lead + echo.cell.range) * focus.oversampling) as isize;
     let first = (arrival.offset_samples - reach).ceil();
     let last = (arrival.offset_samples + reach).floor();
-    let back = conjugate(arrival.turn).map(|part| part * gain);
-    let (amplitude, slope) = (times(echo.amplitude, back), times(echo.slope, back));
+    let back = arrival.turn.conj() * gain;
+    let (amplitude, slope) = (echo.amplitude * back, echo.slope * back);
     let step = (first - arrival.offset_samples + reach) * PULSE_STEPS as f32;
     let entry = (step.max(0.0) as usize).min(PULSE_STEPS);
     let share = step - entry as f32;
@@ -299,9 +265,9 @@ pub(super) fn take_out(
         let wanted = (count - start + focus.oversampling as isize - 1) / focus.oversampling as isize - before as isize;
         for ((re, im), pair) in columns.iter_mut().zip(others).zip(entries).take(wanted.max(0) as usize) {
             let read: [f32; 4] = std::array::from_fn(|part| pair[0][part] + share * (pair[1][part] - pair[0][part]));
-            let value = plus(times(amplitude, [read[0], read[1]]), times(slope, [read[2], read[3]]));
-            *re -= value[0];
-            *im -= value[1];
+            let value = amplitude * Complex::new(read[0], read[1]) + slope * Complex::new(read[2], read[3]);
+            *re -= value.re;
+            *im -= value.im;
         }
     }
 }

@@ -3,24 +3,23 @@
 //! In and out: the buffers of [`Work`]. Loudest cells are looked for row by row, echoes fitted window by window, taken out of the
 //! signals block by block of channels and put back row by row, each by whoever comes. The arithmetic is in [`super::clean`].
 
-use super::clean::{Arrival, Channels, Echo, Fit, Loudest, loudest_of_row, put_back, take_out};
+use super::clean::{Arrival, Cell, Channels, Echo, Fit, put_back, take_out};
 use super::shares::Phase;
-use super::work::{BLOCKS_MAX, Job, Work, locked, reading, writing};
+use super::work::{BLOCKS_MAX, Job, Work, reading, writing};
 use crate::imaging::plan::clean::CleanPlan;
 use crate::imaging::plan::{FocusPlan, ImagingPlan};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, RwLock};
+use nalgebra::Complex;
+use std::sync::RwLock;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 /// Buffers of CLEAN; empty where it is off.
 pub(super) struct Cleaning {
     /// Which round it is.
-    pub round: AtomicUsize,
-    /// `[sensor][direction]` of `[window]`.
-    picks: Vec<RwLock<Vec<Loudest>>>,
+    round: AtomicUsize,
+    /// `[sensor][window]`: the loudest cell, see [`rank`].
+    picks: Vec<AtomicU64>,
     /// `[sensor][window]`.
     windows: Vec<RwLock<Window>>,
-    /// `[sensor][window]`: a value a channel.
-    values: Vec<Mutex<Vec<[f32; 2]>>>,
 }
 
 /// The echoes of a window.
@@ -29,25 +28,35 @@ struct Window {
     echoes: Vec<Echo>,
     /// `[channel]`, of this round.
     arrivals: Vec<Arrival>,
+    /// `[channel]`: scratch of the fit.
+    values: Vec<Complex<f32>>,
+}
+
+/// No cell.
+const NONE: u64 = 0;
+
+/// Ranks cells by what they read, of equals the first, as a number: no sign is set, so bits compare as values do.
+fn rank(value: f32, cell: usize) -> u64 {
+    u64::from(value.to_bits()) << 32 | u64::from(!(cell as u32))
 }
 
 impl Cleaning {
     pub(super) fn new(plan: &ImagingPlan) -> Self {
         let clean = plan.focus.as_ref().and_then(|focus| focus.clean.as_ref());
         let (rounds, window_count) = clean.map_or((0, 0), |clean| (clean.rounds, clean.window_count));
-        let rows = if clean.is_some() { plan.sensors.len() * plan.grid.direction_count() } else { 0 };
-        let channels =
-            || plan.sensors.iter().flat_map(|sensor| std::iter::repeat_n(sensor.channel_count, window_count));
+        let channels = plan.sensors.iter().flat_map(|sensor| std::iter::repeat_n(sensor.channel_count, window_count));
         let window = |channels| {
-            let arrivals = vec![Arrival::default(); channels];
-            RwLock::new(Window { echoes: vec![Echo::default(); rounds], arrivals })
+            let (arrivals, values) = (vec![Arrival::default(); channels], vec![Complex::default(); channels]);
+            RwLock::new(Window { echoes: vec![Echo::default(); rounds], arrivals, values })
         };
-        Self {
-            round: AtomicUsize::new(0),
-            picks: (0..rows).map(|_| RwLock::new(vec![Loudest::default(); window_count])).collect(),
-            windows: channels().map(window).collect(),
-            values: channels().map(|channels| Mutex::new(vec![[0.0; 2]; channels])).collect(),
-        }
+        let windows: Vec<_> = channels.map(window).collect();
+        Self { round: AtomicUsize::new(0), picks: windows.iter().map(|_| AtomicU64::new(NONE)).collect(), windows }
+    }
+
+    /// Begins a round.
+    pub(super) fn begin(&self, round: usize) {
+        self.round.store(round, Ordering::Release);
+        self.picks.iter().for_each(|pick| pick.store(NONE, Ordering::Release));
     }
 }
 
@@ -72,36 +81,46 @@ impl Work {
         }
     }
 
+    /// Enters the loudest cell of every window of a row.
     fn pick(&self, clean: &CleanPlan, sensor: usize, direction: usize) {
-        let picks = &self.cleaning.picks[sensor * self.plan.grid.direction_count() + direction];
-        match self.drafts[sensor].row(direction) {
-            Some(row) => loudest_of_row(clean, direction, &row, &mut writing(picks)),
-            None => self.conflict.store(true, Ordering::Release),
+        let Some(row) = self.drafts[sensor].row(direction) else {
+            self.conflict.store(true, Ordering::Release);
+            return;
+        };
+        let picks = &self.cleaning.picks[sensor * clean.window_count..][..clean.window_count];
+        for (window, pick) in picks.iter().enumerate() {
+            let ranges = clean.window(window, row.len());
+            let cells = row[ranges.clone()].iter().zip(ranges);
+            let (value, range) =
+                cells.fold((0.0, 0), |best, (value, range)| if *value > best.0 { (*value, range) } else { best });
+            if value > 0.0 {
+                pick.fetch_max(rank(value, self.plan.grid.cell(direction, range)), Ordering::AcqRel);
+            }
         }
-    }
-
-    /// The loudest cell of a window.
-    fn loudest(&self, sensor: usize, window: usize) -> Loudest {
-        let directions = self.plan.grid.direction_count();
-        let picks = self.cleaning.picks[sensor * directions..][..directions].iter();
-        picks.fold(Loudest::default(), |best, picks| best.or(reading(picks)[window]))
     }
 
     /// The cell of a window whose echo is to be taken out: louder than what the neighbouring windows have, and no flank of something
     /// beyond the image.
-    fn candidate(&self, clean: &CleanPlan, sensor: usize, window: usize) -> Option<Loudest> {
-        let found = self.loudest(sensor, window);
-        let inside = found.range > 0 && found.range + 1 < self.plan.grid.range_count();
-        let above = window == 0 || found.value > self.loudest(sensor, window - 1).value;
-        let below = window + 1 == clean.window_count || found.value >= self.loudest(sensor, window + 1).value;
-        (found.value > 0.0 && found.value.is_finite() && inside && above && below).then_some(found)
+    fn candidate(&self, clean: &CleanPlan, sensor: usize, window: usize) -> Option<Cell> {
+        let loudest = |window: usize| self.cleaning.picks[sensor * clean.window_count + window].load(Ordering::Acquire);
+        let value = |rank: u64| f32::from_bits((rank >> 32) as u32);
+        let found = loudest(window);
+        let (direction, range) = self.plan.grid.direction_and_range(!(found as u32) as usize);
+        let inside = range > 0 && range + 1 < self.plan.grid.range_count();
+        let above = window == 0 || value(found) > value(loudest(window - 1));
+        let below = window + 1 == clean.window_count || value(found) >= value(loudest(window + 1));
+        (found != NONE && value(found).is_finite() && inside && above && below).then(|| Cell {
+            value: value(found),
+            direction,
+            range,
+        })
     }
 
     fn fit(&self, job: &Job, focus: &FocusPlan, clean: &CleanPlan, sensor: usize, window: usize) {
         let round = self.cleaning.round.load(Ordering::Acquire);
         let index = sensor * clean.window_count + window;
         let mut kept = writing(&self.cleaning.windows[index]);
-        let Window { echoes, arrivals } = &mut *kept;
+        let Window { echoes, arrivals, values } = &mut *kept;
         echoes[round] = Echo::default();
         let Some(cell) = self.candidate(clean, sensor, window) else { return };
         let channel_count = self.plan.sensors[sensor].channel_count;
@@ -116,7 +135,7 @@ impl Work {
         }
         let gains = &job.gains[sensor][..channel_count];
         let channels = Channels { focus, blocks: &blocks[..block_count], lanes: self.lanes, gains };
-        echoes[round] = Fit { clean, sensor, channels }.fit(cell, arrivals, &mut locked(&self.cleaning.values[index]));
+        echoes[round] = Fit { clean, sensor, channels }.fit(cell, arrivals, values);
     }
 
     fn take_out(&self, job: &Job, focus: &FocusPlan, clean: &CleanPlan, index: usize) {

@@ -149,7 +149,7 @@ impl CpuBackend {
     fn clean(&self) -> Result<(), BackendError> {
         let Some(clean) = self.work.plan.focus.as_ref().and_then(|focus| focus.clean.as_ref()) else { return Ok(()) };
         for round in 0..clean.rounds {
-            self.work.cleaning.round.store(round, Ordering::Release);
+            self.work.cleaning.begin(round);
             for phase in [Phase::Pick, Phase::Fit, Phase::TakeOut, Phase::Focus] {
                 self.phase(phase)?;
             }

@@ -8,6 +8,7 @@ use crate::sensor::{Emission, EmissionParams, MicrophoneArray, Mount, RecordingF
 use crate::signal::{SampleFormat, Samples};
 use crate::time::Stamp;
 use nalgebra::Vector3;
+use std::sync::Arc;
 
 const ROW: usize = 16_384;
 

@@ -8,10 +8,11 @@
 //! the last round every echo is put back as the main lobe it would have with no side lobe. In: what the plan knows. Out:
 //! [`CleanPlan`], which both twins follow. Never touches a sample.
 
+use super::reference::spectrum_at;
 use super::{Band, FocusPlan, ImagingPlan};
 use crate::imaging::params::{CLEAN_ROUNDS_MAX, ImagingParams, Weighting};
 use crate::parameter::ParameterError;
-use crate::sensor::SensorSetup;
+use crate::sensor::{Emission, SensorSetup, per_emission};
 use nalgebra::{Complex, Matrix3, Vector3};
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -113,25 +114,17 @@ pub(super) fn clean(
     let narrowest_hz = bands.iter().map(Band::width_hz).fold(f64::INFINITY, f64::min);
     let pulse_m = WINDOW_PULSES * speed_of_sound_m_s / (2.0 * narrowest_hz);
     let window_len = (radius_m.max(pulse_m) / plan.grid.range_step_m()).ceil().max(2.0) as usize;
-    // Sensors of one emission share a table.
-    let first_of = |index: usize| (0..index).find(|&first| sensors[first].emission == sensors[index].emission);
-    let own = |index: usize| first_of(index).is_none().then(|| Pulse::new(plan, focus, &sensors[index], &bands[index]));
-    let pulses: Vec<Option<Pulse>> = (0..sensors.len()).map(own).collect();
-    let pulse_reach = pulses.iter().flatten().map(Pulse::reach).max().unwrap_or(1);
+    let pulses = per_emission(sensors, |index| Pulse::new(plan, focus, &sensors[index].emission, &bands[index]));
+    let pulse_reach = pulses.iter().map(|pulse| pulse.reach()).max().unwrap_or(1);
+    let tables = per_emission(sensors, |index| pulses[index].table(pulse_reach));
     let float = |vector: Vector3<f64>| [vector.x as f32, vector.y as f32, vector.z as f32];
-    let mut cleans: Vec<SensorClean> = Vec::new();
-    for (index, (sensor, pulse)) in sensors.iter().zip(&pulses).enumerate() {
-        let (pulse, slope_per_sample) = match (pulse, first_of(index)) {
-            (Some(pulse), _) => (Arc::new(pulse.table(pulse_reach)), pulse.slope_per_sample() as f32),
-            (None, first) => {
-                let first = &cleans[first.unwrap_or(0)];
-                (Arc::clone(&first.pulse), first.slope_per_sample)
-            }
-        };
-        let centre = centre(sensor, radius_m);
-        let places_m = sensor.array.positions_m.iter().map(|place| float(*place)).collect();
-        cleans.push(SensorClean { places_m, centre, pulse, lobe: lobe(sensor, focus.turns_per_m), slope_per_sample });
-    }
+    let one = |(index, sensor): (usize, &SensorSetup)| SensorClean {
+        places_m: sensor.array.positions_m.iter().map(|place| float(*place)).collect(),
+        centre: centre(sensor, radius_m),
+        pulse: Arc::clone(&tables[index]),
+        lobe: lobe(sensor, focus.turns_per_m),
+        slope_per_sample: pulses[index].slope_per_sample() as f32,
+    };
     CleanPlan {
         rounds,
         window_len,
@@ -141,7 +134,7 @@ pub(super) fn clean(
         pulse_reach,
         radius_m: radius_m as f32,
         units: plan.grid.directions().iter().map(|direction| float(direction.unit())).collect(),
-        sensors: cleans,
+        sensors: sensors.iter().enumerate().map(one).collect(),
     }
 }
 
@@ -186,13 +179,10 @@ struct Pulse {
 }
 
 impl Pulse {
-    fn new(plan: &ImagingPlan, focus: &FocusPlan, sensor: &SensorSetup, band: &Band) -> Self {
-        let samples = &sensor.emission.samples;
-        let span = plan.forward_len * plan.band_decimation;
+    fn new(plan: &ImagingPlan, focus: &FocusPlan, emission: &Emission, band: &Band) -> Self {
         let power = |bin: usize| {
-            let turn = |n: usize| TAU * ((n * bin) % span) as f64 / span as f64;
-            let sum: Complex64 = samples.iter().enumerate().map(|(n, s)| Complex64::from_polar(*s, -turn(n))).sum();
-            band.gain(bin as f64 * plan.bin_step_hz) * sum.norm_sqr()
+            let (re, im) = spectrum_at(plan, emission, bin);
+            band.gain(bin as f64 * plan.bin_step_hz) * (re * re + im * im)
         };
         let bins = plan.first_bin..plan.first_bin + plan.bin_count;
         let powers: Vec<(f64, f64)> = bins.map(|bin| (bin as f64 - focus.centre_bin as f64, power(bin))).collect();

@@ -133,9 +133,10 @@ pub(super) fn focus(
     plan: &ImagingPlan,
     sensors: &[SensorSetup],
     params: &ImagingParams,
-    band: &Band,
+    bands: &[Band],
     speed_of_sound_m_s: f64,
 ) -> Result<Option<FocusPlan>, ParameterError> {
+    let band = &Band::around(bands);
     let combine = Combine::new(params)?;
     let rounds = clean::rounds(params, combine.is_sum())?;
     let to_m = match params.focus_to_m {
@@ -174,10 +175,7 @@ pub(super) fn focus(
         taps: interpolator(band.width_hz() / rate_hz),
         sensors: sensors.iter().map(|sensor| sensor_focus(plan, sensor)).collect(),
     };
-    if rounds > 0 {
-        let bands = Band::of(sensors, plan.sample_rate_hz)?;
-        focus.clean = Some(clean::clean(plan, &focus, sensors, &bands, rounds, speed_of_sound_m_s));
-    }
+    focus.clean = (rounds > 0).then(|| clean::clean(plan, &focus, sensors, bands, rounds, speed_of_sound_m_s));
     Ok(Some(focus))
 }
 

@@ -5,9 +5,8 @@
 
 use super::{EDGE_SHARE, ImagingPlan};
 use crate::parameter::ParameterError;
-use crate::sensor::{Emission, SensorSetup};
+use crate::sensor::{Emission, SensorSetup, per_emission};
 use std::f64::consts::PI;
-use std::sync::Arc;
 
 /// The numbers that the parts of the plan are made from.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,13 +91,20 @@ fn band_response(taps: &[[f32; 2]], turns_per_sample: f64) -> (f64, f64) {
 
 /// Gives every sensor of a plan that is otherwise made its reference.
 pub(super) fn fill(plan: &mut ImagingPlan, bands: &[Band], sensors: &[SensorSetup], first_s: f64) {
-    for index in 0..sensors.len() {
-        let twin = (0..index).find(|earlier| sensors[*earlier].emission == sensors[index].emission);
-        plan.sensors[index].reference = match twin {
-            Some(twin) => Arc::clone(&plan.sensors[twin].reference),
-            None => Arc::new(reference(plan, &bands[index], &sensors[index].emission, first_s)),
-        };
+    let references = per_emission(sensors, |index| reference(plan, &bands[index], &sensors[index].emission, first_s));
+    for (sensor, reference) in plan.sensors.iter_mut().zip(references) {
+        sensor.reference = reference;
     }
+}
+
+/// Spectrum of an emission at bin k of N.
+pub(super) fn spectrum_at(plan: &ImagingPlan, emission: &Emission, bin: usize) -> (f64, f64) {
+    let span = plan.forward_len * plan.band_decimation;
+    emission.samples.iter().enumerate().fold((0.0, 0.0), |(re, im), (n, sample)| {
+        // Whole turns are taken out in integers: the phase of late samples stays exact.
+        let (sin, cos) = (2.0 * PI * ((n * bin) % span) as f64 / span as f64).sin_cos();
+        (re + sample * cos, im - sample * sin)
+    })
 }
 
 /// One sensor's reference: see the header of [`super`].
@@ -110,13 +116,7 @@ fn reference(plan: &ImagingPlan, band: &Band, emission: &Emission, first_s: f64)
     let complex = |bin: usize| {
         let frequency_hz = bin as f64 * plan.bin_step_hz;
         let turns = bin as f64 / span as f64;
-        let (mut s_re, mut s_im) = (0.0, 0.0);
-        for (n, sample) in emission.samples.iter().enumerate() {
-            // Whole turns are taken out in integers: the phase of late samples stays exact.
-            let (sin, cos) = (2.0 * PI * ((n * bin) % span) as f64 / span as f64).sin_cos();
-            s_re += sample * cos;
-            s_im -= sample * sin;
-        }
+        let (s_re, s_im) = spectrum_at(plan, emission, bin);
         let (g_re, g_im) = band_response(&plan.band_taps, turns);
         // conj(S) / G = conj(S) conj(G) / |G|^2, and the phase of the first range.
         let (q_re, q_im) = (s_re * g_re - s_im * g_im, -(s_re * g_im + s_im * g_re));

@@ -30,7 +30,7 @@ use crate::geometry::Pose2;
 use crate::geometry::shape::Shape;
 use crate::parameter::check_range;
 use crate::sensor::dead_zone::{self, HOUSING_DEPTH_M, HOUSING_WIDTH_M};
-use crate::sensor::{RecordingFormat, SensorSetup};
+use crate::sensor::{RecordingFormat, SensorSetup, per_emission};
 use crate::signal::{SENSORS_MAX, SampleFormat, Samples, Velocity};
 use jammer::{Jamming, Listening};
 use motion::Motion;
@@ -85,14 +85,7 @@ impl EchoMaker {
         seed: u64,
     ) -> Result<Self, SimError> {
         check(sensors, recording, params)?;
-        let mut tables: Vec<Arc<WaveformTable>> = Vec::new();
-        for (index, sensor) in sensors.iter().enumerate() {
-            let twin = sensors[..index].iter().position(|other| other.emission == sensor.emission);
-            tables.push(match twin {
-                Some(twin) => Arc::clone(&tables[twin]),
-                None => Arc::new(WaveformTable::new(&sensor.emission)),
-            });
-        }
+        let tables = per_emission(sensors, |index| WaveformTable::new(&sensors[index].emission));
         let media = tables.iter().map(|table| Medium::new(table, params, speed_of_sound_m_s)).collect();
         let channels = sensors.iter().map(|sensor| sensor.array.channel_count()).max().unwrap_or(0);
         let (rate_hz, samples) = (recording.demodulated_rate_hz(), recording.demodulated_samples());
