@@ -7,14 +7,17 @@ use super::error::IpcError;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 #[cfg(target_os = "linux")]
-use rustix::net::sockopt::socket_peercred;
+use rustix::net::{
+    AddressFamily, Shutdown, SocketAddrUnix, SocketFlags, SocketType, connect, shutdown, socket_with,
+    sockopt::socket_peercred,
+};
 use std::fs::{DirBuilder, File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
 #[cfg(target_os = "linux")]
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 #[cfg(target_os = "linux")]
-use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
+use std::os::unix::net::{SocketAddr, UnixListener};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -118,24 +121,57 @@ pub(super) fn lock_path(root: &Path, prefix: &str) -> PathBuf {
     root.join(format!("{prefix}daemon.lock"))
 }
 
+/// How long a start waits for a name whose holder has let go of it. A process that forks holds every open file twice until its
+/// child runs its own program: some hundred microseconds, longer on a loaded machine.
+#[cfg(target_os = "linux")]
+const LET_GO: Duration = Duration::from_millis(250);
+
+/// What holds a name outside of the file system.
+#[cfg(target_os = "linux")]
+enum NameHolder {
+    /// A process of this user or of root.
+    Daemon(u32),
+    /// A process that has let go of the name, as a lock does when it is dropped, or has just gone.
+    Leaving,
+    /// Somebody whose name is no use to us and no obstacle.
+    Stranger,
+}
+
+/// Asks who listens under a name; a full queue is no reason to wait.
+#[cfg(target_os = "linux")]
+fn name_holder(name: &str) -> NameHolder {
+    let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
+    let asked = SocketAddrUnix::new_abstract_name(name.as_bytes()).and_then(|address| {
+        let socket = socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?;
+        connect(&socket, &address)?;
+        socket_peercred(&socket)
+    });
+    match asked {
+        Ok(holder) if holder.uid == rustix::process::geteuid() || holder.uid.is_root() => {
+            NameHolder::Daemon(holder.pid.as_raw_pid().cast_unsigned())
+        }
+        Err(Errno::CONNREFUSED) => NameHolder::Leaving,
+        _ => NameHolder::Stranger,
+    }
+}
+
 /// Claims a name outside of the file system for the daemon of this root and prefix. `Err` with the holder's process, if it is
 /// one of this user; a name that another user squats is no use to us and no obstacle.
 #[cfg(target_os = "linux")]
 fn claim_name(root: &Path, prefix: &str) -> Result<Option<UnixListener>, u32> {
-    let ours = rustix::process::geteuid();
-    let Ok(address) = SocketAddr::from_abstract_name(daemon_name(root, prefix)) else { return Ok(None) };
-    match UnixListener::bind_addr(&address) {
-        Ok(listener) => Ok(listener.set_nonblocking(true).is_ok().then_some(listener)),
-        Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
-            let holder = UnixStream::connect_addr(&address).and_then(|stream| Ok(socket_peercred(&stream)?));
-            match holder {
-                Ok(holder) if holder.uid == ours || holder.uid.is_root() => {
-                    Err(holder.pid.as_raw_pid().cast_unsigned())
-                }
-                _ => Ok(None),
-            }
+    let name = daemon_name(root, prefix);
+    let Ok(address) = SocketAddr::from_abstract_name(&name) else { return Ok(None) };
+    let deadline = Instant::now() + LET_GO;
+    loop {
+        match UnixListener::bind_addr(&address) {
+            Ok(listener) => return Ok(listener.set_nonblocking(true).is_ok().then_some(listener)),
+            Err(error) if error.kind() == io::ErrorKind::AddrInUse => match name_holder(&name) {
+                NameHolder::Daemon(pid) => return Err(pid),
+                NameHolder::Leaving if Instant::now() < deadline => std::thread::sleep(Duration::from_millis(1)),
+                NameHolder::Leaving | NameHolder::Stranger => return Ok(None),
+            },
+            Err(_) => return Ok(None),
         }
-        Err(_) => Ok(None),
     }
 }
 
@@ -166,18 +202,21 @@ impl DaemonLock {
                 Err(Errno::INTR) => continue,
                 Err(error) => return Err(cannot(error.into())),
             }
-            #[cfg(target_os = "linux")]
-            let name = claim_name(root, prefix).map_err(|pid| IpcError::DaemonRunning { pid, path: path.clone() })?;
             let mut lock = Self {
                 file,
                 path: path.clone(),
                 #[cfg(target_os = "linux")]
-                name,
+                name: None,
             };
             // The holder before may have removed the file between our open and our lock.
             if !lock.is_ours() {
                 lock.path = PathBuf::new();
                 continue;
+            }
+            #[cfg(target_os = "linux")]
+            {
+                let refuse = |pid| IpcError::DaemonRunning { pid, path: path.clone() };
+                lock.name = claim_name(root, prefix).map_err(refuse)?;
             }
             lock.file.set_len(0).and_then(|()| lock.file.rewind()).map_err(cannot)?;
             writeln!(lock.file, "{}", std::process::id()).map_err(cannot)?;
@@ -202,6 +241,12 @@ impl Drop for DaemonLock {
     fn drop(&mut self) {
         if self.is_ours() {
             let _ = std::fs::remove_file(&self.path);
+        }
+        // Closing lets go only when no child of this process, just forked, holds the same open files.
+        let _ = flock(&self.file, FlockOperation::Unlock);
+        #[cfg(target_os = "linux")]
+        if let Some(name) = &self.name {
+            let _ = shutdown(name, Shutdown::Both);
         }
     }
 }
@@ -286,6 +331,54 @@ mod tests {
         }
         drop(lock);
         assert!(DaemonLock::acquire(&root, "test_").is_ok());
+    }
+
+    /// As a fork does: the child holds the same open files until it runs its own program.
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_lock_let_go_is_free_although_a_child_just_forked_holds_its_files() {
+        let root = tempfile::tempdir().expect("directory");
+        let acquire = || DaemonLock::acquire(root.path(), "test_");
+        let forked = |lock: &DaemonLock| {
+            let name = lock.name.as_ref().expect("a name").try_clone().expect("held twice");
+            (lock.file.try_clone().expect("held twice"), name)
+        };
+        let lock = acquire().expect("free");
+        let child = forked(&lock);
+        assert!(matches!(acquire(), Err(IpcError::DaemonRunning { .. })), "the control: nobody let go");
+        drop(lock);
+        let starts = std::thread::spawn(move || {
+            std::thread::sleep(LET_GO / 10);
+            drop(child);
+        });
+        let lock = acquire().expect("let go");
+        starts.join().expect("the child runs its own program");
+        assert!(lock.name.is_some(), "the name is claimed as soon as the child has gone");
+
+        // A child that never lets go cannot keep the name from a start for ever.
+        let child = forked(&lock);
+        drop(lock);
+        let begun = Instant::now();
+        assert!(acquire().expect("let go").name.is_none());
+        assert!(begun.elapsed() >= LET_GO);
+        drop(child);
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_name_whose_queue_is_full_makes_nobody_wait() {
+        let root = tempfile::tempdir().expect("directory");
+        let name = daemon_name(root.path(), "test_");
+        let address = SocketAddrUnix::new_abstract_name(name.as_bytes()).expect("a name");
+        let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
+        let socket = || socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None).expect("socket");
+        let holder = socket();
+        rustix::net::bind(&holder, &address).expect("free");
+        rustix::net::listen(&holder, 1).expect("listens");
+        let waiting = [socket(), socket(), socket()];
+        assert_eq!(waiting.each_ref().map(|socket| connect(socket, &address)), [Ok(()), Ok(()), Err(Errno::AGAIN)]);
+        let lock = DaemonLock::acquire(root.path(), "test_").expect("the file decides");
+        assert!(lock.name.is_none());
     }
 
     #[test]
