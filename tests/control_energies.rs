@@ -3,6 +3,7 @@
 
 use noctule::control::{ControlParams, Controller, PlatformLimits};
 use noctule::flow::MaskSet;
+use noctule::imaging::params::DirectionsParams;
 use noctule::sensor::{Emission, MicrophoneArray, Mount, SensorSetup};
 use noctule::service::regions::mask_params;
 use noctule::signal::{
@@ -45,7 +46,9 @@ fn robot(range_first_m: f64) -> Robot {
         .collect();
     let (params, platform) = (ControlParams::default(), PlatformLimits::default());
     let hidden = vec![vec![false; 180]; 3];
-    let masks = MaskSet::build(&grid, &sensors, &hidden, &mask_params(&params, &platform)).unwrap();
+    let masks =
+        MaskSet::build(&grid, &sensors, &hidden, &mask_params(&params, &platform, &DirectionsParams::default()))
+            .unwrap();
     Robot { grid, mounts, masks, params }
 }
 

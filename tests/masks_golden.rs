@@ -7,6 +7,7 @@ use noctule::control::{ControlParams, PlatformLimits};
 use noctule::flow::{MaskParams, MaskSet};
 use noctule::geometry::flow_lines::FlowLinesRegion;
 use noctule::geometry::shape::Shape;
+use noctule::imaging::params::DirectionsParams;
 use noctule::sensor::dead_zone::hidden_directions;
 use noctule::sensor::{Emission, MicrophoneArray, Mount, SensorSetup};
 use noctule::service::regions::mask_params;
@@ -71,7 +72,7 @@ fn setup((_, radius_m, mounts): &Layout, range_step_m: f64) -> Setup {
     let (grid, sensors) = (grid(range_step_m), sensors(mounts));
     let hidden: Vec<Vec<bool>> =
         (0..sensors.len()).map(|index| hidden_directions(&sensors, index, &[], grid.directions()).hidden).collect();
-    let params = mask_params(&ControlParams::for_platform(&platform), &platform);
+    let params = mask_params(&ControlParams::for_platform(&platform), &platform, &DirectionsParams::default());
     let masks = MaskSet::build(&grid, &sensors, &hidden, &params).unwrap();
     Setup { grid, sensors, hidden, params, masks }
 }

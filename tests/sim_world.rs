@@ -284,7 +284,7 @@ fn commands_are_bent_to_the_platforms_limits_and_nonsense_means_standing_still()
         max_linear_accel_m_s2: 0.4,
         max_angular_accel_rad_s2: 2.0,
     };
-    let robot = RobotParams { radius_m: 0.2, limits };
+    let robot = RobotParams { radius_m: 0.2, limits, ..RobotParams::default() };
     let sensors = [sensor(0.0, 0.0, 0.0)];
     let mut simulator =
         Simulator::new(World::default(), &sensors, &pcm(), robot, SPEED_M_S, SimParams::default(), 1).unwrap();

@@ -16,7 +16,7 @@ use noctule::service::space_trials::{Looker, SpaceScore, room};
 use noctule::service::wiring::{self, SensingSetup};
 use noctule::service::{scanning, simulator};
 use noctule::signal::{Cues, PointCloud, SampleFormat, SpaceClass};
-use noctule::sim::{Ball, Bar, SimParams, World};
+use noctule::sim::{Ball, Bar, Pillar, SimParams, World};
 use noctule::time::Stamp;
 use std::process::Command;
 use std::sync::Arc;
@@ -220,4 +220,63 @@ fn the_command_tells_what_it_found_as_a_table_as_json_and_as_a_picture() {
     let refused = run("7");
     assert_eq!(refused.status.code(), Some(2), "{refused:?}");
     assert!(String::from_utf8_lossy(&refused.stderr).contains("32 to 16384"), "{refused:?}");
+}
+
+/// The thresholds are made for the fan of 1 degree. Measured: each grid within 3 % of the mean of all grids, the mean within 25 % of the
+/// fan where the thing stands level with the sensors.
+#[test]
+fn what_a_region_reads_hardly_depends_on_the_grid() {
+    let pillar = |x_m: f64, y_m: f64, radius_m: f64| World {
+        pillars: vec![Pillar { centre: [x_m, y_m], radius_m }],
+        ..World::default()
+    };
+    let ball = Ball { centre: [0.6, 0.0, 0.0], radius_m: 0.05 };
+    let ball = World { balls: vec![ball], ..World::default() };
+    let worlds = [bar(0.0), pillar(0.7, 0.0, 0.05), pillar(0.6, 0.1, 0.02), pillar(0.9, 0.0, 0.1), ball];
+    let read = |directions: Option<usize>| -> Vec<f32> {
+        let rig = rig(directions, directions.map(|_| BAND_M));
+        worlds.iter().map(|world| cues(&rig, world.clone()).obstacle.energy).collect()
+    };
+    let fan = read(None);
+    let grids = [500, 1000, 2000, 4000].map(|directions| read(Some(directions)));
+    for (index, fan) in fan.iter().enumerate() {
+        let mean = grids.iter().map(|grid| grid[index]).sum::<f32>() / grids.len() as f32;
+        println!("world {index}: fan {fan}, grids {:?}", grids.each_ref().map(|grid| grid[index]));
+        assert!((0.75..1.30).contains(&(mean / fan)), "world {index}: {mean}, the fan {fan}");
+        for grid in &grids {
+            assert!((grid[index] / mean - 1.0).abs() < 0.06, "world {index}: {} of {mean}", grid[index]);
+        }
+    }
+
+    // Control: cells counted alike, as they are on fans, read eight times as much on the finest grid as on the coarsest.
+    let weight = |directions| config(Some(directions), None).imaging.directions.cell_weight();
+    for (coarse, fine) in grids[0].iter().zip(&grids[3]) {
+        let times = (fine / weight(4000)) / (coarse / weight(500));
+        assert!((7.0..9.0).contains(&times), "{times}");
+    }
+}
+
+/// Floor, ceiling, pipes, a cable, a lamp; a barrier and a leaning beam at the robot's height.
+#[test]
+fn a_cellar_is_driven_through_in_three_dimensions_where_a_fan_stays_where_it_is() {
+    let drive = |extra: &[&str]| {
+        let folder = tempfile::tempdir().expect("directory");
+        let json = folder.path().join("runs.json");
+        let mut command = Command::cargo_bin("noctule").expect("built");
+        command.args(["simulate", "fixtures/worlds/cellar.toml", "--runs", "2", "--json"]).arg(&json).args(extra);
+        let output = command.output().expect("run");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let record = std::fs::read(&json).expect("written");
+        let record: serde_json::Value = serde_json::from_slice(&record).expect("JSON");
+        record["runs"].as_array().expect("runs").clone()
+    };
+    let grid = ["--config", "fixtures/config/cellar.toml"];
+    for run in drive(&grid) {
+        assert_eq!((&run["reached_goal"], &run["collided"]), (&true.into(), &false.into()), "{run}");
+    }
+    // The control: to a fan the floor is a thing ahead.
+    for run in drive(&["--layout", "sim-1"]) {
+        assert_eq!((&run["reached_goal"], &run["collided"]), (&false.into(), &false.into()), "{run}");
+        assert!(run["path_length_m"].as_f64().expect("a number") < 0.5, "{run}");
+    }
 }

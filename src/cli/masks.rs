@@ -53,7 +53,7 @@ fn overviews(
     let hidden: Vec<Vec<bool>> = zones.into_iter().map(|zone| zone.hidden).collect();
     let footprint_radius_m = config.platform.radius_m;
     let robot = PlottedRobot { footprint_radius_m, sensors: &setup.sensors, grid, hidden: &hidden };
-    let params = regions::mask_params(&config.control, &config.platform);
+    let params = regions::mask_params(&config.control, &config.platform, &config.imaging.directions);
     let shapes = [
         (LayerName::CorridorFollowing, params.corridor_following.as_slice()),
         (LayerName::ObstacleAvoidance, params.obstacle_avoidance.as_slice()),

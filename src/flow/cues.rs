@@ -50,13 +50,14 @@ impl MaskSet {
             match row.purpose {
                 MaskPurpose::Region(layer) => {
                     if !self.is_echo(&loudest, row, *ring, sums) {
-                        masked[row.sensor_index][*ring] += if self.in_way[index] { sums.energy } else { 0.0 };
+                        let energy = self.cell_weight * sums.energy;
+                        masked[row.sensor_index][*ring] += if self.in_way[index] { energy } else { 0.0 };
                     } else if let Some(cue) = region_cue(&mut cues, layer) {
-                        add(cue, row.sensor_index, sums);
+                        add(cue, row.sensor_index, sums, self.cell_weight);
                     }
                 }
                 MaskPurpose::Ring { .. } => {}
-                MaskPurpose::Behind => behind += f64::from(sums.energy),
+                MaskPurpose::Behind => behind += f64::from(self.cell_weight * sums.energy),
                 MaskPurpose::FlowLine { index, .. } => {
                     if self.is_echo(&loudest, row, self.ring_of_peak(row, sums), sums) {
                         flows[index] += f64::from(sums.flow);
@@ -243,12 +244,13 @@ fn region_cue(cues: &mut Cues, layer: LayerName) -> Option<&mut LayerCue> {
     }
 }
 
-fn add(cue: &mut LayerCue, sensor_index: usize, sums: &RowSums) {
+fn add(cue: &mut LayerCue, sensor_index: usize, sums: &RowSums, cell_weight: f32) {
+    let (energy, turn) = (cell_weight * sums.energy, cell_weight * sums.turn);
     let sensor = &mut cue.sensors[sensor_index];
-    sensor.energy += sums.energy;
-    sensor.turn += sums.turn;
+    sensor.energy += energy;
+    sensor.turn += turn;
     sensor.peak = sensor.peak.max(sums.peak);
-    cue.energy += sums.energy;
-    cue.turn += sums.turn;
+    cue.energy += energy;
+    cue.turn += turn;
     cue.peak = cue.peak.max(sums.peak);
 }

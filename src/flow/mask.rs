@@ -43,6 +43,7 @@ pub struct MaskSet {
     pub(super) table: Arc<MaskTable>,
     pub(super) peaks: PeakParams,
     pub(super) collision_threshold: f64,
+    pub(super) cell_weight: f32,
     pub(super) side_lobe_share: f64,
     /// Ring of each row of the table; 0 where it has no meaning.
     pub(super) rings: Vec<usize>,
@@ -117,6 +118,7 @@ impl MaskSet {
             coverage: coverage::of_all_sensor_sets(params.footprint_radius_m, params.blind_gap_m, seen_by),
             peaks: params.peaks,
             collision_threshold: params.collision_threshold,
+            cell_weight: params.cell_weight,
             side_lobe_share: params.side_lobe_share,
             rings: builder.rings,
             in_way: builder.in_way,

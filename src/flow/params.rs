@@ -24,6 +24,8 @@ pub struct MaskParams {
     pub noise_floor: NoiseFloor,
     /// Lowest and highest part of the robot above the plane of the sensors' origins; cells that are lower or higher are in no region.
     pub z_m: Option<[f64; 2]>,
+    /// What a cell of E adds to a sum: 1 on the fan that thresholds are made for, less on a grid with more cells to a beam.
+    pub cell_weight: f32,
     /// Radius of the robot's footprint.
     pub footprint_radius_m: f64,
     /// A cell whose energy is less than this share of the loudest at its range, heard by the same sensor in any direction,

@@ -96,6 +96,20 @@ impl Default for DirectionsParams {
     }
 }
 
+impl DirectionsParams {
+    /// Cells of an equal-area grid of the hemisphere whose sum over an echo is that of the level fan of 1 degree, with the built-in
+    /// array: a cell is then as large as 1 degree times 37, the height of what such an array hears of an echo. Measured with pillars,
+    /// bars and balls, 540 to 630 but for what a fan takes for its own height and a grid does not.
+    const CELLS_LIKE_A_FAN: f64 = 560.0;
+
+    /// What a cell of the image counts in the sum of a region: 1 on a fan or a list of directions, on an equal-area grid by its
+    /// area, so that thresholds hold for any number of directions.
+    #[must_use]
+    pub fn cell_weight(&self) -> f32 {
+        self.equal_area.map_or(1.0, |count| (Self::CELLS_LIKE_A_FAN / count as f64) as f32)
+    }
+}
+
 /// Range steps that images can have.
 pub const RANGE_STEP_M: std::ops::RangeInclusive<f64> = 1e-4..=0.5;
 /// Lowest cut-off of the smoothing low-pass.

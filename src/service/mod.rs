@@ -318,6 +318,7 @@ pub fn simulator(
     let platform = &config.platform;
     let robot = RobotParams {
         radius_m: platform.radius_m,
+        z_m: platform.z_m,
         limits: crate::sim::MotionLimits {
             max_linear_m_s: platform.max_linear_m_s,
             max_angular_rad_s: platform.max_angular_rad_s,

@@ -108,7 +108,7 @@ pub struct MotionSample {
 /// # Errors
 /// Those of [`TrialRig::run`].
 pub fn drive(rig: &TrialRig, case: &MotionCase) -> Result<MotionDrive, ServiceError> {
-    let params = regions::mask_params(&rig.config().control, &rig.config().platform);
+    let params = regions::mask_params(&rig.config().control, &rig.config().platform, &rig.config().imaging.directions);
     let hidden = rig.setup().hidden_directions();
     let finder = |hidden: &Vec<bool>| {
         let floor = |range_m| params.noise_floor.at(range_m);

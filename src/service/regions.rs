@@ -3,12 +3,13 @@
 
 use crate::control::{ControlParams, PlatformLimits};
 use crate::flow::{MaskParams, NoiseFloor, PeakParams, RangeGain};
+use crate::imaging::params::DirectionsParams;
 
 /// The regions of the layers that are on, and the rules that go with them.
 ///
 /// Walls are looked for from the lower of flow following's release thresholds, so that its hysteresis sees them fade.
 #[must_use]
-pub fn mask_params(control: &ControlParams, platform: &PlatformLimits) -> MaskParams {
+pub fn mask_params(control: &ControlParams, platform: &PlatformLimits, directions: &DirectionsParams) -> MaskParams {
     let on = |enabled: bool, regions: &[crate::geometry::shape::Shape]| {
         if enabled { regions.to_vec() } else { Vec::new() }
     };
@@ -30,6 +31,7 @@ pub fn mask_params(control: &ControlParams, platform: &PlatformLimits) -> MaskPa
         noise_floor: NoiseFloor::configured(control.energy.noise_floor_dbfs.clone()),
         side_lobe_share: control.energy.side_lobe_share(),
         z_m: platform.z_m,
+        cell_weight: directions.cell_weight(),
         footprint_radius_m: platform.radius_m,
         collision_threshold: control.collision_avoidance.threshold,
         blind_gap_m: control.coverage.blind_gap_m,

@@ -39,7 +39,7 @@ impl<'a> Sight<'a> {
             grid: &setup.plan.grid,
             sensors: &setup.sensors,
             hidden: setup.hidden_directions(),
-            params: regions::mask_params(&config.control, &config.platform),
+            params: regions::mask_params(&config.control, &config.platform, &config.imaging.directions),
         }
     }
 

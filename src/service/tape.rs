@@ -175,7 +175,7 @@ fn step(kind: StepKind, now: Stamp) -> PipelineStep {
 /// What a recording of the robot of `config` holds.
 #[must_use]
 pub fn subject(config: &Config, setup: &SensingSetup) -> RecordSubject {
-    let params = regions::mask_params(&config.control, &config.platform);
+    let params = regions::mask_params(&config.control, &config.platform, &config.imaging.directions);
     let scanner = |index: usize| -> ScanMaker {
         let floor = params.noise_floor.clone();
         let hidden = &setup.plan.sensors[index].hidden;

@@ -130,7 +130,7 @@ fn plan(config: &Config, chosen: &[usize], recording: &RecordingFormat) -> Resul
 /// # Errors
 /// A region that no sensor sees, and what [`MaskSet::build`] refuses.
 pub fn masks(config: &Config, setup: &SensingSetup) -> Result<MaskSet, ParameterError> {
-    let params = regions::mask_params(&config.control, &config.platform);
+    let params = regions::mask_params(&config.control, &config.platform, &config.imaging.directions);
     MaskSet::build(&setup.plan.grid, &setup.sensors, &setup.hidden_directions(), &params)
         .map_err(|error| error.within("control"))
 }

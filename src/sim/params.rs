@@ -202,13 +202,15 @@ impl Default for MotionLimits {
 pub struct RobotParams {
     /// Radius of the disc.
     pub radius_m: f64,
+    /// Its lowest and highest part above the plane of the sensors' origins; without them it reaches from the floor to the ceiling.
+    pub z_m: Option<[f64; 2]>,
     /// What it can do.
     pub limits: MotionLimits,
 }
 
 impl Default for RobotParams {
     fn default() -> Self {
-        Self { radius_m: 0.2, limits: MotionLimits::default() }
+        Self { radius_m: 0.2, z_m: None, limits: MotionLimits::default() }
     }
 }
 
@@ -219,6 +221,9 @@ impl RobotParams {
     /// The first value that is not allowed.
     pub fn validate(&self) -> Result<(), ParameterError> {
         check_positive("radius_m", self.radius_m, 10.0)?;
+        if let Some([low_m, high_m]) = self.z_m.filter(|[low_m, high_m]| !(low_m < high_m)) {
+            return Err(ParameterError::new("z_m", format!("[{low_m}, {high_m}]"), "a lowest and a higher height"));
+        }
         check_positive("max_linear_m_s", self.limits.max_linear_m_s, 20.0)?;
         check_positive("max_angular_rad_s", self.limits.max_angular_rad_s, 20.0)?;
         check_positive("max_linear_accel_m_s2", self.limits.max_linear_accel_m_s2, 100.0)?;

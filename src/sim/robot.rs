@@ -126,14 +126,17 @@ impl Robot {
         for circle in &obstacles.circles {
             clearance_m = clearance_m.min((circle.centre_m - centre_m).norm() - circle.radius_m - self.params.radius_m);
         }
+        let z_m = self.params.z_m.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+        let from_disc_m = |point_m: Vector2<f64>| (point_m - centre_m).norm() - self.params.radius_m;
+        clearance_m = clearance_m.min(obstacles.solids.gap_m(z_m, from_disc_m));
         for mount in &self.outside {
-            clearance_m = clearance_m.min(housing_clearance_m(&pose.compose(mount), obstacles));
+            clearance_m = clearance_m.min(housing_clearance_m(&pose.compose(mount), z_m, obstacles));
         }
         clearance_m
     }
 }
 
-fn housing_clearance_m(pose: &Pose2, obstacles: &Obstacles) -> f64 {
+fn housing_clearance_m(pose: &Pose2, z_m: [f64; 2], obstacles: &Obstacles) -> f64 {
     let corners = housing_corners_m(pose);
     let edges: [_; 4] = std::array::from_fn(|index| (corners[index], corners[(index + 1) % 4]));
     let inside = |point: Vector2<f64>| edges.iter().all(|&(from, to)| (to - from).perp(&(point - from)) >= 0.0);
@@ -150,13 +153,15 @@ fn housing_clearance_m(pose: &Pose2, obstacles: &Obstacles) -> f64 {
             clearance_m = clearance_m.min(nearest_m);
         }
     }
-    for circle in &obstacles.circles {
-        let edge_m = edges.iter().map(|&(from, to)| distance_to_segment_m(circle.centre_m, from, to));
+    let signed_m = |point_m: Vector2<f64>| {
+        let edge_m = edges.iter().map(|&(from, to)| distance_to_segment_m(point_m, from, to));
         let nearest_m = edge_m.fold(f64::INFINITY, f64::min);
-        let signed_m = if inside(circle.centre_m) { -nearest_m } else { nearest_m };
-        clearance_m = clearance_m.min(signed_m - circle.radius_m);
+        if inside(point_m) { -nearest_m } else { nearest_m }
+    };
+    for circle in &obstacles.circles {
+        clearance_m = clearance_m.min(signed_m(circle.centre_m) - circle.radius_m);
     }
-    clearance_m
+    clearance_m.min(obstacles.solids.gap_m(z_m, signed_m))
 }
 
 /// The pose after moving at constant `velocity` for `dt_s`: an arc, exactly.

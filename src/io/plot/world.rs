@@ -17,6 +17,7 @@ const COORDINATE_MAX_M: f64 = 1e4;
 const LEAST: Vector2<f64> = Vector2::new(0.6, 0.3);
 const WALL: Rgb888 = Rgb888::new(20, 20, 20);
 const PILLAR: Rgb888 = Rgb888::new(95, 95, 95);
+const SOLID: Rgb888 = Rgb888::new(196, 180, 160);
 const MOVER: Rgb888 = Rgb888::new(150, 0, 150);
 const START_ZONE: Rgb888 = Rgb888::new(20, 20, 20);
 
@@ -53,7 +54,10 @@ fn bounds_m(world: &World, runs: &[PlottedRun], window_m: Option<[[f64; 2]; 2]>)
     let [corner, size] = [world.start.corner, world.start.size];
     let start = [corner, [corner[0] + size[0], corner[1] + size[1]]].map(|point| (point, 0.0));
     let ways = runs.iter().flat_map(|run| run.points.iter().map(|point| ([point.x_m, point.y_m], 0.0)));
-    let discs = walls.chain(pillars).chain(movers).chain(waypoints).chain(start).chain(ways);
+    let bars = world.bars.iter().flat_map(|bar| [(bar.from, bar.radius_m), (bar.to, bar.radius_m)]);
+    let balls = world.balls.iter().map(|ball| (ball.centre, ball.radius_m));
+    let solids = bars.chain(balls).map(|([x_m, y_m, _], radius_m)| ([x_m, y_m], radius_m));
+    let discs = walls.chain(pillars).chain(solids).chain(movers).chain(waypoints).chain(start).chain(ways);
     let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
     for ([x_m, y_m], radius_m) in discs {
         if let (Some(place), true) = (place_m(x_m, y_m), radius_m.abs() <= COORDINATE_MAX_M) {
@@ -96,8 +100,18 @@ impl Map {
         (self.sheet, self.area)
     }
 
-    /// Draws what lies under the ways: the movers' paths.
+    /// Draws what lies under the ways: bars and balls, which may be overhead or low enough to be driven over, and the movers' paths.
     pub(super) fn draw_floor(&mut self, world: &World) {
+        let balls = world.balls.iter().map(|ball| (ball.centre, ball.centre, ball.radius_m));
+        let bars = world.bars.iter().map(|bar| (bar.from, bar.to, bar.radius_m));
+        for (from, to, radius_m) in balls.chain(bars).filter(|(_, _, radius_m)| radius_m.abs() <= COORDINATE_MAX_M) {
+            if let (Some(from), Some(to)) = (place_m(from[0], from[1]), place_m(to[0], to[1])) {
+                let (from, to) = (self.view.place(from), self.view.place(to));
+                let radius_px = (radius_m * self.view.pixels_per_m()).max(2.0);
+                self.picture.stroke(from, to, 2.0 * radius_px, SOLID);
+                [from, to].into_iter().for_each(|end| self.picture.disc(end, radius_px, SOLID));
+            }
+        }
         for mover in &world.movers {
             let closing = (mover.repeat == PathLoop::Cycle).then(|| mover.path.first()).flatten();
             let path = mover.path.iter().chain(closing);
@@ -159,6 +173,7 @@ pub(super) fn world_legend(world: &World) -> Vec<(Sign, String)> {
     let entries = [
         (!world.walls.is_empty(), Sign::Line(WALL), "wall"),
         (!world.pillars.is_empty(), Sign::Disc(PILLAR), "pillar"),
+        (!(world.bars.is_empty() && world.balls.is_empty()), Sign::Disc(SOLID), "bar or ball, at any height"),
         (!world.movers.is_empty(), Sign::Dashes(MOVER), "mover's path"),
         (true, Sign::Frame(START_ZONE), "start zone"),
         (!world.waypoints.is_empty(), Sign::Waypoint, "waypoint, reached within the circle"),
