@@ -115,6 +115,11 @@ pub fn main() -> ExitCode {
         // A thread that panicked or hangs must not be waited for by whatever a driver does at the end of a process.
         signal_hook::low_level::exit(i32::from(exit::INTERNAL));
     }
+    if crate::imaging::driver_at_work() {
+        // Nor must a library be taken apart under a driver that still works in it: that ends with an abort.
+        let _ = std::io::Write::flush(&mut std::io::stdout());
+        signal_hook::low_level::exit(i32::from(code));
+    }
     ExitCode::from(code)
 }
 

@@ -32,7 +32,7 @@ use plan::ImagingPlan;
 use quarantine::Trust;
 use std::sync::Arc;
 use std::time::Duration;
-pub use workshop::Opener;
+pub use workshop::{Opener, driver_at_work};
 
 /// Largest relative L2 distance between the energyscapes of the two backends: the accuracy that either owes to the
 /// textbook (specification, section 3).

@@ -4,6 +4,7 @@
 //! cannot be closed keeps a thread and is forgotten; one that cannot be opened keeps this one. Decides nothing.
 
 use super::backend::{Backend, BackendError};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 use std::thread::JoinHandle;
@@ -18,6 +19,32 @@ const CLOSE_LIMIT: Duration = Duration::from_millis(300);
 const LOOK_PAUSE: Duration = Duration::from_millis(5);
 /// Jobs that may wait. One device is open at a time, so there are never as many.
 const JOBS_MAX: usize = 4;
+
+/// Threads of this process that are inside a driver, opening or closing a device.
+static AT_WORK: AtomicUsize = AtomicUsize::new(0);
+
+/// Counts as one of [`AT_WORK`] as long as it lives.
+struct AtWork;
+
+impl AtWork {
+    fn begin() -> Self {
+        AT_WORK.fetch_add(1, Ordering::AcqRel);
+        Self
+    }
+}
+
+impl Drop for AtWork {
+    fn drop(&mut self) {
+        AT_WORK.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+/// Whether a driver is still opening or closing a device for somebody who no longer waits. A process that ends now must not run the
+/// destructors of its libraries: the driver would lose what it works with, and abort.
+#[must_use]
+pub fn driver_at_work() -> bool {
+    AT_WORK.load(Ordering::Acquire) > 0
+}
 
 enum Job {
     Open,
@@ -90,7 +117,7 @@ impl Drop for Workshop {
         let Some(thread) = self.thread.take() else { return };
         // A driver that is at work when the program ends may crash it; one that hangs must not hold it up.
         let limit = Instant::now() + CLOSE_LIMIT;
-        while !thread.is_finished() && Instant::now() < limit {
+        while (!thread.is_finished() || driver_at_work()) && Instant::now() < limit {
             std::thread::sleep(LOOK_PAUSE);
         }
     }
@@ -100,7 +127,9 @@ fn work(mut opener: Opener, inbox: &Receiver<Job>, tray: &Opened) {
     while let Ok(job) = inbox.recv() {
         match job {
             Job::Open => {
+                let at_work = AtWork::begin();
                 let opened = opener();
+                drop(at_work);
                 *tray.lock().unwrap_or_else(PoisonError::into_inner) = Some(opened);
             }
             Job::Close(backend) => close(backend),
@@ -123,9 +152,10 @@ fn close_within(backend: Box<dyn Backend>, limit: Duration) {
     let held = Arc::new(Mutex::new(Some(backend)));
     let taken = Arc::clone(&held);
     let named = std::thread::Builder::new().name("noctule-gpu-end".to_owned());
+    let at_work = AtWork::begin();
     let started = named.spawn(move || {
         drop(taken.lock().unwrap_or_else(PoisonError::into_inner).take());
-        drop(done);
+        drop((at_work, done));
     });
     if started.is_err() {
         // Without a thread it is not closed at all: closing it here could take for ever.
@@ -134,5 +164,32 @@ fn close_within(backend: Box<dyn Backend>, limit: Duration) {
     }
     match ended.recv_timeout(limit) {
         Ok(()) | Err(RecvTimeoutError::Disconnected | RecvTimeoutError::Timeout) => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_driver_that_still_works_is_told_of_until_it_ends() {
+        let (release, released) = sync_channel::<()>(0);
+        let opener: Opener = Box::new(move || {
+            let _ = released.recv();
+            Err(BackendError::Unavailable("opened too late".to_owned()))
+        });
+        let workshop = Workshop::start(opener).expect("a thread");
+        workshop.open();
+        let begun = Instant::now();
+        drop(workshop);
+        assert!(begun.elapsed() >= CLOSE_LIMIT, "the end waits a little");
+        assert!(driver_at_work(), "what was given up is known");
+        release.send(()).expect("still at work");
+        // Other tests of this program may have drivers at work as well.
+        let limit = Instant::now() + Duration::from_secs(60);
+        while driver_at_work() && Instant::now() < limit {
+            std::thread::sleep(LOOK_PAUSE);
+        }
+        assert!(!driver_at_work(), "it ended");
     }
 }
